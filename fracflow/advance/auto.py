@@ -11,6 +11,7 @@ from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed_times import prescribed
 from fracflow.advance.regime import LONG, EventState, begin
+from fracflow.advance.slip_rate import longest_step
 from fracflow.advance.slow_slip import RADIATED, SETTLED, Tried, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.step_error import step_error
@@ -251,7 +252,8 @@ class _Regimes:
             return None, event, trials
         entered, still, lasted = self.stepping.enter(state, self.still), event.at_rest(), state.time - event.begun
         # long after motion has stopped, Newton's method may fail only because the step is so long
-        for length in (still.step, event.least) if lasted > LONG * event.period else (still.step,):
+        first = max(min(still.step, longest_step(self.model, state)), event.least)
+        for length in (first, event.least) if lasted > LONG * event.period else (first,):
             time = self._target(entered.time, length)[0]
             tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
             if tried.state is not None:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.mesh.data import Bools
+from fracflow.advance.slip_rate import creeps, slip_of_states
+from fracflow.mesh.data import Bools, Floats
 from fracflow.model.setup import Model
-from fracflow.model.state import State, StepReport
+from fracflow.model.state import Sections, State, StepReport
 from fracflow.scene.materials import Rock
 
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
@@ -28,12 +29,14 @@ class Slipped:
     share     of the distance over which strength falls: the largest of the sections that still weaken [1]
     radiated  of the strength: rho c_s v/2, in the mean over all that slips [1]
     worst     (s,) the section of all ranks that dissipates most against its strength
+    evolved   largest slip over that by which a state of friction may evolve in a step [1]
     """
 
     drops: bool
     share: float
     radiated: float
     worst: Bools
+    evolved: float = 0.0
 
     def why_not(self, radiated: float = RADIATED) -> str:
         """Why that is not a slow process, which radiates at most ``radiated`` of the strength; empty where it is."""
@@ -43,12 +46,14 @@ class Slipped:
             return f"slip of {self.share:.3g} of the distance over which strength falls"
         if self.radiated > radiated:
             return f"slip that radiates {self.radiated:.3g} of the strength"
+        if self.evolved > 1.0:
+            return f"slip of {self.evolved:.3g} times what the state of friction allows a step"
         return ""
 
     @property
     def may_double(self) -> bool:
         """Whether a step twice as long is expected to resolve the weakening, too."""
-        return self.share <= AHEAD * SHARE
+        return self.share <= AHEAD * SHARE and self.evolved <= AHEAD
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,8 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
     Strength that drops at once leaves no equilibrium; where it falls with slip a step must resolve the fall. The power that
     slip radiates, the sum of rho c_s v^2/2, must be small beside its power against strength, the sum of v R. Sums are over all
     sliding sections, by area, so that fast slip outweighs slow slip. Pressure may take all strength from a section, which then
-    has no resistance and radiates little. So R is the strength, or FLOOR times the largest traction since the start if that is
-    more. A fall of strength counts relative to the fall under that pressure.
+    has no resistance and radiates little. So R is the strength (``resistance``), or FLOOR times the largest traction since the
+    start if that is more. A fall of strength counts relative to the fall under that pressure.
     """
     joints, comm = model.operators.joints, model.operators.layout.comm
     before, after = old.sections, new.sections
@@ -96,7 +101,7 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
         all_of_it = np.where(falls, group.law.strength_drop(np.maximum(pressed, scale[here])), 1.0)
         parts = far[here] / np.where(falls, length, 1.0) * drop / all_of_it
         share = max(share, float(np.where(falls, parts, 0.0).max(initial=0.0)))
-    strength = np.maximum(np.where(np.isfinite(after.strength), after.strength, 0.0), scale)
+    strength = np.maximum(resistance(model, after), scale)
     sent = _impedance(model) / dt * float(joints.weights @ far**2)
     worst = np.array([float(drops), share])
     comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
@@ -105,7 +110,16 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
     comm.Allreduce(MPI.IN_PLACE, powers, op=MPI.SUM)
     most = comm.allreduce(float(power.max(initial=0.0)), op=MPI.MAX)
     radiated = float(powers[0] / powers[1]) if powers[1] > 0.0 else 0.0
-    return Slipped(bool(worst[0]), float(worst[1]), radiated, (power == most) & (most > 0.0))
+    evolved = slip_of_states(model, old, new) if creeps(model) else 0.0
+    return Slipped(bool(worst[0]), float(worst[1]), radiated, (power == most) & (most > 0.0), evolved)
+
+
+def resistance(model: Model, sections: Sections) -> Floats:
+    """Strength (s,) of this rank's sections; the shear traction where friction follows the rate of slip; else 0 [stress]."""
+    found = np.where(np.isfinite(sections.strength), sections.strength, 0.0)
+    for group in (group for group in model.operators.joints.laws if group.law.creeps):
+        found[group.sections] = np.linalg.norm(sections.traction[group.sections, :-1], axis=1)
+    return found
 
 
 def weak_waves(model: Model, state: State, period: float) -> float:
@@ -113,8 +127,7 @@ def weak_waves(model: Model, state: State, period: float) -> float:
 
     s^2/(2 mu) per area, on (c_s T)^2; nothing where no rock deforms [energy per thickness].
     """
-    strength = state.sections.strength
-    here = float(np.max(np.where(np.isfinite(strength), strength, 0.0), initial=0.0))
+    here = float(resistance(model, state.sections).max(initial=0.0))
     stress = RADIATED * model.operators.layout.comm.allreduce(here, op=MPI.MAX)
     return max((0.5 * stress**2 * period**2 / rock.density for rock in deforming(model) if rock.density), default=0.0)
 

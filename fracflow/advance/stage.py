@@ -11,6 +11,7 @@ from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
+from fracflow.advance.slip_rate import FINEST, BySlipRate, creeps
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.integrators import Stepper
@@ -87,11 +88,14 @@ def composed(
     model, whole, stepper = stepping.model, stepping.model.scene.stage[number].time_step or 0.0, estimator.stepper
     is_weakening, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
     most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
-    rules = Rules(most, estimator.order, _events(stepping, stepper, whole), estimator.finest, estimator.of_flow)
+    by_rate = creeps(model) and not stepper.inertia
+    order, finest = estimator.order or by_rate, max(estimator.finest, FINEST * by_rate)
+    rules = Rules(most, order, _events(stepping, stepper, whole), finest, estimator.of_flow or by_rate)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
     step = StableSlip(step, model, JUST_OVER * 0.5**most) if is_weakening else step
     step = ErrorControlled(step, estimator, stepping.explicit) if estimator.order else step
+    step = BySlipRate(step, model) if by_rate else step
     step = SplitAtJumps(step, stepping, stepper, stepper.inertia or estimator.finest > 0) if given.ends else step
     return Substepped(step, rules, log, place, given)
 

@@ -15,6 +15,7 @@ from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.wells import one_changed, reached_after, reached_before, refuse_cycle, through, well_step
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas, Steady, Stepper, first, stepper_from
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
 from fracflow.model.energy import dissipated, update_balance
@@ -314,10 +315,11 @@ class SingleStep:
             memory = remember(ops, state, new, dt, {**kept, **means})
         lost = leaked(ops, state, new, dt, scheme, depth) if ops.flow is not None else {}
         pumps = self.solvers.counts_volume
+        sent = ops.joints.radiated(state.sections, new.sections, LawStep(new.time, dt, rule.inertia))
         return {
             "energy": update_balance(ops, state, new, dt, scheme),
             **_names(reached),
-            "friction": dissipated(state, new),
+            "friction": dissipated(state, new, sent),
             "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
             "volumes": volumes,

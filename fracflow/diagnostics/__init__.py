@@ -22,12 +22,14 @@ NUMBERS = (
     slip.joint_step, fracture_flow.fluid_inertia, fracture_flow.compressibility, slip.nucleation, fracture_flow.contrast,
     slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
+OF_STATES = (slip.state_zone, slip.state_nucleation)
+"""Numbers of friction with a state, where a fracture has it."""
 
 
 def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[Number]:
     """The numbers of a scene on its mesh; ``wells`` name -> flow nodes. On one process."""
     view = CheckInput(scene, gather(scene, mesh, wells))
-    return [number(view) for number in NUMBERS]
+    return [number(view) for number in (*NUMBERS, *(OF_STATES if view.joints.evolution.any() else ()))]
 
 
 def as_lines(numbers: list[Number]) -> list[str]:

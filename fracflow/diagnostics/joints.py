@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ class CheckJoints:
     laws             the law of each fracture
     drop             (j, 2) by how much strength falls with slip at the initial normal traction; 0 where it does not [stress]
     distance         (j, 2) slip over which it does: 0 where it falls at once, inf where it does not [length]
+    direct, evolution  (j, 2) a sigma and b sigma of friction with a state at the initial normal traction; else 0 [stress]
+    state_length     (j, 2) D_c of that friction; else inf [length]
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
     shear_modulus    mu* = G/(1 - nu), likewise [stress]
     layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
@@ -56,6 +58,9 @@ class CheckJoints:
     laws: tuple[type[JointLaw], ...]
     drop: Floats
     distance: Floats
+    direct: Floats
+    evolution: Floats
+    state_length: Floats
     modulus: Floats
     shear_modulus: Floats
     layer: Floats
@@ -82,7 +87,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
-    drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
+    drop, distance, *states = _of_laws(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
@@ -90,6 +95,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         names=mesh.fractures, fracture=mesh.joint_fracture, length=length, normal=ends("normal_stiffness"),
         shear=ends("shear_stiffness"), aperture=aperture, conducting=np.where(np.isnan(given), cubic, given),
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
+        direct=states[0], evolution=states[1], state_length=states[2],
         laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
         modulus=2.0 * _in_series(beside["modulus"]), shear_modulus=2.0 * _in_series(beside["shear_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
@@ -112,21 +118,33 @@ def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
     return np.maximum(-effective, 0.0)
 
 
-def _weakening(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pressed: Floats) -> tuple[Floats, Floats]:
-    """Fall of strength (j, 2) under the pressures ``pressed`` (j, 2), and the slip (j, 2) over which it comes."""
-    drop, distance = np.zeros_like(pressed), np.full_like(pressed, np.inf)
+def _of_laws(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pressed: Floats) -> tuple[Floats, ...]:
+    """Fall of strength (j, 2) under the pressures ``pressed`` (j, 2), and the slip (j, 2) over which it comes.
+
+    Then the direct and the evolution effect, and the slip of evolution, of friction with a state.
+    """
+    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf))
     of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
     for name in sorted(set(of_fracture)):
         here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
         given = {
             each: ends("friction" if each == "friction_coefficient" else each)[here].ravel()
-            for each in (*keys_of(JOINT_LAWS[name]), "normal_stiffness", "shear_stiffness", "aperture")
+            for each in (*_numbers_of(name), "normal_stiffness", "shear_stiffness", "aperture")
             if each in {field.name for field in parameters_of(JOINT_LAWS[name])}
         }
         law, pressures = make_law(name, **given), pressed[here].ravel()
-        drop[here] = law.strength_drop(pressures).reshape(-1, 2)
-        distance[here] = law.slip_length(len(pressures)).reshape(-1, 2)
-    return drop, distance
+        count = len(pressures)
+        past = law.initial_history(count, 2)
+        values = law.strength_drop(pressures), law.slip_length(count), *law.rate_effects(pressures)
+        evolves = law.state_length(past) if law.creeps else np.full(count, np.inf)
+        for into, each in zip(found, (*values, evolves), strict=True):
+            into[here] = each.reshape(-1, 2)
+    return found
+
+
+def _numbers_of(law: str) -> Iterator[str]:
+    """Keys of a law whose values are numbers."""
+    return (name for name, key in keys_of(JOINT_LAWS[law]).items() if not key.choices)
 
 
 def _of_slower(speed: Floats, values: Floats) -> Floats:

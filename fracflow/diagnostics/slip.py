@@ -20,6 +20,8 @@ COHESIVE = 9.0 * np.pi / 32.0  # Lambda_0 over mu* D_c/(tau_p - tau_r): Day et a
 ZONE = 4.0  # joints in Lambda_0
 UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
 PATCH = 5.0  # joints in L_c
+STATE = 3.0  # joints in L_b
+NUCLEUS = 10.0  # joints in h*
 GROWTH = 0.096
 """Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
 of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
@@ -151,6 +153,51 @@ def _finer(view: CheckInput, joint: int, share: float) -> str:
         f" {joints.length[joint] * share:.3g}{view.unit(LENGTH)}, or {view.law(joint).weakens_over} above"
         f" {joints.distance[joint].min() / (share**2 if thin else share):.3g}{view.unit(LENGTH)}"
     )
+
+
+def _state_lengths(view: CheckInput) -> tuple[Floats, Floats]:
+    """L_b = mu* D_c/(b sigma), and h* = 2 mu* b D_c/(pi (b - a)^2 sigma) where b > a (j, 2); NaN elsewhere [length]."""
+    joints = view.joints
+    b, weakens = joints.evolution, joints.evolution > joints.direct
+    with np.errstate(divide="ignore", invalid="ignore"):
+        each = np.where(b > 0.0, joints.shear_modulus[:, None] * joints.state_length / b, np.nan)
+        longest = np.where(weakens, 2.0 / np.pi * each * (b / (b - joints.direct)) ** 2, np.nan)
+    return np.where(np.isfinite(each), each, np.nan), np.where(np.isfinite(longest), longest, np.nan)
+
+
+def state_zone(view: CheckInput) -> Number:
+    """L_b = mu* D_c/(b sigma): joints must resolve the zone 9 pi/32 L_b in which the state evolves (Rubin and Ampuero 2005)."""
+    name, formula, joints = "state evolution length", "L_b/h = mu* D_c/(b sigma h)", view.joints
+    inverse, joint, where = view.worst(joints.length[:, None] / _state_lengths(view)[0])
+    if not inverse:
+        return Number(name, formula, note="no friction with a state")
+    value = 1.0 / inverse
+    if value >= STATE:
+        return Number(name, formula, value, STATE, False, where)
+    remedy = (
+        f"fronts of slip run too slowly, and slip stops joint by joint: joints shorter than"
+        f" {joints.length[joint] * value / STATE:.3g}{view.unit(LENGTH)}, or characteristic_slip above"
+        f" {joints.state_length[joint].max() * STATE / value:.3g}{view.unit(LENGTH)}"
+    )
+    return Number(name, formula, value, STATE, True, where, remedy)
+
+
+def state_nucleation(view: CheckInput) -> Number:
+    """H* = 2 mu* b D_c/(pi (b - a)^2 sigma): joints that are not far shorter slip one by one (Rice 1993, Rubin and Ampuero)."""
+    name, formula, joints = "creep nucleation", "h* = 2 mu* b D_c/(pi (b - a)^2 sigma)", view.joints
+    ratio, joint, where = view.worst(joints.length[:, None] / _state_lengths(view)[1])
+    if not ratio:
+        return Number(name, formula, note="b > a nowhere")
+    along = joints.length[joints.fracture == joints.fracture[joint]].sum()
+    length, limit = float(joints.length[joint]) / ratio, NUCLEUS * float(joints.length[joint])
+    note = f"{NUCLEUS:g} h" if length <= along else f"{NUCLEUS:g} h; above the fracture's length, which slips slowly"
+    if length >= limit:
+        return Number(name, formula, length, limit, False, where, note=note)
+    remedy = (
+        f"joints slip by themselves: joints shorter than {length / NUCLEUS:.3g}{view.unit(LENGTH)}, or characteristic_slip"
+        f" above {joints.state_length[joint].max() * limit / length:.3g}{view.unit(LENGTH)}"
+    )
+    return Number(name, formula, length, limit, True, where, remedy, note)
 
 
 def dissimilar_rock(view: CheckInput) -> Number:

@@ -17,12 +17,14 @@ from fracflow.laws.base import (
 from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, FrontCubic, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
+from fracflow.laws.rate_and_state import RateAndState
 from fracflow.laws.slip_weakening import SlipWeakening
 
 # a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
 JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,
     "linear": Linear,
+    "rate-and-state": RateAndState,
     "slip-weakening": SlipWeakening,
 }
 
@@ -42,6 +44,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 __all__ = [
     "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse",
-    "Key", "LawStep", "Leakage", "Linear", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
+    "Key", "LawStep", "Leakage", "Linear", "RateAndState", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
     "published_history",
 ]  # fmt: skip

@@ -60,20 +60,24 @@ class Key:
     """A parameter as a scene reads it: meaning, dimension ("1" without), range.
 
     not_above  another parameter of the law that it may not exceed
+    choices    the words that it may be, where it is no number; the law takes one, or an array (n,) of them
     """
 
     meaning: str
     dimension: str = "1"
     limits: Mapping[str, float] = field(default_factory=dict)
     not_above: str = ""
+    choices: tuple[str, ...] = ()
 
 
-def key(meaning: str, dimension: str = "1", not_above: str = "", **limits: float) -> dict[str, Key]:
+def key(
+    meaning: str, dimension: str = "1", not_above: str = "", choices: tuple[str, ...] = (), **limits: float
+) -> dict[str, Key]:
     """Metadata of a dataclass field that scenes give by its name; without a default of the field they must.
 
     limits  "above", "at_least", "below", "at_most"
     """
-    return {"key": Key(meaning, dimension, limits, not_above)}
+    return {"key": Key(meaning, dimension, limits, not_above, choices)}
 
 
 def parameters_of(law: type[Any]) -> tuple[Field[Any], ...]:
@@ -123,6 +127,7 @@ class JointLaw(Protocol):
 
     slides        whether its plastic slip may grow
     opens         whether its walls may part
+    creeps        whether it slips at any traction, at a rate that depends on it
     weakens_over  key of the slip over which its strength falls; empty where it has none
     no_drop       setting with which its strength does not drop at once; empty where it never does
     """
@@ -132,6 +137,7 @@ class JointLaw(Protocol):
     passes_over: ClassVar[bool] = False
     slides: ClassVar[bool] = False
     opens: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     weakens_over: ClassVar[str] = ""
     no_drop: ClassVar[str] = ""
 
@@ -192,6 +198,21 @@ class JointLaw(Protocol):
     def slip_length(self, sections: int) -> Floats:
         """Slip (n,) over which it does: 0 where it falls at once, inf where it does not fall [length]."""
         return np.full(sections, np.inf)
+
+    def state_length(self, history: History) -> Floats:
+        """Slip (n,) over which the friction's state evolves after ``history``, for steps to resolve; inf without [length]."""
+        return np.full(len(next(iter(history.values()), ())), np.inf)
+
+    def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
+        """By how much strength (n,) rises where slip is e times as fast, at once, and how much of it the state takes back.
+
+        Under a ``compression`` (n,) >= 0 [stress].
+        """
+        return np.zeros(len(compression)), np.zeros(len(compression))
+
+    def radiated(self, slip: Floats, step: LawStep) -> Floats:
+        """Part (n,) of the work of the traction on a plastic slip (n,) of a step that waves carry away [energy/area]."""
+        return np.zeros(len(slip))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
@@ -44,7 +45,9 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
-    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
+    sent = ops.joints.radiated(old.sections, new.sections, LawStep(new.time, dt, scheme.inertia))
+    parts |= motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
+    _add_joints(ops, parts, old, new, sent)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
@@ -140,22 +143,29 @@ def spurious_share(totals: Mapping[str, float]) -> float:
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
 
-def dissipated(old: State, new: State) -> Floats:
-    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
+def dissipated(old: State, new: State, sent: Floats | float = 0.0) -> Floats:
+    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area].
+
+    Waves carry off ``sent`` (s,) of the plastic work of the step.
+    """
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
-    return old.friction + 0.5 * work.sum(axis=1)
+    return old.friction + 0.5 * work.sum(axis=1) - sent
 
 
-def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
-    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two."""
+def _add_joints(ops: Operators, parts: dict[str, float], old: State, new: State, sent: Floats) -> None:
+    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two.
+
+    Of the plastic work waves carry off ``sent`` (s,) [energy/area]. Collective.
+    """
     weights, before, after = ops.joints.weights[:, None], old.sections, new.sections
     traction = 0.5 * weights * (before.traction + after.traction)
     plastic = traction * (after.inelastic - before.inelastic)
     elastic = traction * (after.strain - before.strain) - plastic
     stored = np.sum(ops.joints.weights * (after.stored - before.stored))
-    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
-    normal, shear, friction, closed = ops.layout.comm.allreduce(local)
-    return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
+    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored, ops.joints.weights @ sent])
+    normal, shear, friction, closed, waves = ops.layout.comm.allreduce(local)
+    parts |= {"joint_normal": normal, "joint_shear": shear, "joint_normal_closed": closed - shear}
+    parts |= {"friction": friction - waves, "radiated": parts.get("radiated", 0.0) + waves}
 
 
 def _fluid_parts(

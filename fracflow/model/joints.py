@@ -21,7 +21,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
-from fracflow.model.solid import nodal_layout, node_unknowns
+from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
 
@@ -251,6 +251,13 @@ class Joints:
             for group, before in zip(self.laws, history, strict=True)
         )
 
+    def radiated(self, old: Sections, new: Sections, step: LawStep) -> Floats:
+        """Energy (s,) that waves carry away of the work of tractions on the plastic slip of a step [energy/area]."""
+        slip, found = np.linalg.norm((new.inelastic - old.inelastic)[:, :-1], axis=1), np.zeros(len(self.weights))
+        for group in self.laws:
+            found[group.sections] = group.law.radiated(slip[group.sections], step.of(group.sections))
+        return found
+
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
         """(2.15)-(2.19), (2.31) ``result`` += G' W f, f (s, dim): forces that resist, tension's +n on top. Collective."""
         add_transposed(self.jump, (self.weights[:, None] * traction).ravel(), result)
@@ -302,6 +309,7 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
     choices = {
         "coupled_tangent": scene.method.tangent == "consistent",
         "strength_when_open": scene.method.open_strength == "cohesion",
+        "radiates": scene.method.radiation_damping == "auto",
     }
     groups = []
     for name in sorted({table.law for table in tables}):
@@ -313,6 +321,10 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
         for field in parameters_of(JOINT_LAWS[name]):
             if field.name in choices:
                 given[field.name] = choices[field.name]
+            elif field.name == "wave_impedance":
+                given[field.name] = np.repeat(impedance_beside(blocks, scene), len(natural))[sections]
+            elif "key" in field.metadata and field.metadata["key"].choices:
+                given[field.name] = np.array([getattr(table, field.name) or "" for table in tables])[fracture[sections]]
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
                 given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
 from fracflow.laws.elastic import STIFFNESS
 from fracflow.mesh.blocks import Blocks, petsc_ints
@@ -196,3 +196,38 @@ def forces_in_rocks(blocks: Blocks, each: Floats, expand: PETSc.Mat | None) -> P
         force = each[blocks.solid.cell_rock[cells]]
         forces.append(solid.body_force(blocks.solid.points[nodes], force).reshape(-1, dim))
     return nodal_force(blocks, np.concatenate(nodes_all), np.concatenate(forces), expand)
+
+
+def summed_at_nodes(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
+    """Sums (n, k) at this rank's nodes of what all ranks give theirs, ``values`` (m, k) at ``nodes`` (m,). Collective."""
+    block, width = blocks.solid, values.shape[1]
+    numbers = petsc_ints(block.node_global[:, None] * width + np.arange(width))
+    local = PETSc.Vec().createSeq(numbers.size)
+    whole = PETSc.Vec().createMPI((block.owned * width, blocks.sizes.nodes * width), comm=blocks.comm)
+    whole.setValues(numbers[nodes].ravel(), values.ravel(), addv=PETSc.InsertMode.ADD)
+    whole.assemble()
+    wanted = PETSc.IS().createGeneral(numbers.ravel(), comm=PETSc.COMM_SELF)
+    scatter = PETSc.Scatter().create(whole, wanted, local, None)
+    scatter.scatter(whole, local)
+    found: Floats = local.getArray().reshape(-1, width).copy()
+    destroy(whole, wanted, local, scatter)
+    return found
+
+
+def impedance_beside(blocks: Blocks, scene: Scene) -> Floats:
+    """1/(1/Z + 1/Z') of the walls of each joint (j,), Z = rho c_s: G/(2 c_s) between equal rocks. Collective.
+
+    At a node Z is the mean of the cells around it; a rigid wall sends no wave off, and two of them none at all: 0
+    [stress time/length].
+    """
+    joints, nodes = blocks.joints, blocks.solid.cells
+    names = ("youngs_modulus", "poissons_ratio", "density")
+    modulus, ratio, density = (rock_values(blocks, scene, name) for name in names)
+    impedance = np.sqrt(density * modulus / (2.0 * (1.0 + ratio)))
+    corner = (nodes >= 0) & np.isin(np.arange(len(nodes)), deformable(blocks, scene))[:, None]
+    each = np.broadcast_to(impedance[:, None], nodes.shape)[corner]
+    total, count = summed_at_nodes(blocks, nodes[corner], np.column_stack([each, np.ones(len(each))])).T
+    yields = np.zeros(len(total))  # 1/Z
+    np.divide(count, total, out=yields, where=total > 0.0)
+    both = yields[joints.bottom].mean(axis=1) + yields[joints.top].mean(axis=1)
+    return np.divide(1.0, both, out=np.zeros(len(both)), where=both > 0.0)

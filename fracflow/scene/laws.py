@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from difflib import get_close_matches
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -47,6 +47,10 @@ def law_fields() -> dict[str, Any]:
         key = next(keys[name] for keys in declared.values() if name in keys)
         text = "; ".join(f"{meaning} ({', '.join(laws)})" for meaning, laws in meanings.items())
         value = next((defaults(law)[name] for law in KEYS if name in defaults(law)), None)
+        if key.choices:
+            described = Field(default=None, description=text, json_schema_extra={"default": value})
+            found[name] = (Literal[key.choices] | None, described)
+            continue
         unit = "" if key.dimension == "1" else f" [{key.dimension}]"
         along = Along(Quantity(key.dimension, **key.limits))
         described = Field(default=None, description=text + unit, json_schema_extra={"default": value})
@@ -70,7 +74,7 @@ def foreign_keys(law: Any) -> set[str]:
     return declared | {key for key, meant in OTHERWISE.items() if meant in declared}
 
 
-def defaults(law: str) -> dict[str, float]:
+def defaults(law: str) -> dict[str, float | str]:
     """The defaults of a law's own keys; friction has to be given."""
     given = {field.name: field.default for field in parameters_of(JOINT_LAWS[law]) if field.name in KEYS[law]}
     return {name: v for name, v in given.items() if v is not MISSING and name not in OTHERWISE.values()}

@@ -115,6 +115,10 @@ class Method(StepperKeys):
     steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a prescribed
     pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is none, and the
     default of model = "report"; counted as damping in the energy balance [1]"""
+    radiation_damping: Literal["auto", "none"] = "auto"
+    """energy that slip sends off as waves in stages without inertia: auto takes the traction G/(2 c_s) times the rate of slip
+    from what friction carries, on fractures of law = "rate-and-state", G and c_s of the rocks beside; where inertia comes in
+    the rock itself carries the waves; counted as radiated in the energy balance"""
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = "auto"
     """how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct solve
     (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of time
@@ -338,6 +342,9 @@ class Accuracy(Table):
     step_error: Fraction | None = None
     """largest error of displacement that a step may add, over the largest displacement so far: longer steps are halved,
     at most max_halvings times; takes the place of tolerance [1]"""
+    slip_share: Fraction = 0.1
+    """slip of a step without inertia over characteristic_slip, at most, on fractures of law = "rate-and-state": dt is at most
+    that share of D_c/V; with a tolerance steps are also so short that the error of their slip is below that share of it [1]"""
     max_events: Annotated[int, Field(strict=True, ge=0)] = 20
     """events of joints in a step that parts of it end at; later ones are taken as they fall"""
     max_cycles: Count = 50

@@ -1,6 +1,6 @@
 """Rate-and-state friction, a law from outside the package: this file, and the line that registers it.
 
-python tests/laws/rate_and_state.py run SCENE -o DIR      the command line, with law = "rate-and-state" known to scenes
+python tests/laws/rate_and_state.py run SCENE -o DIR      the command line, with law = "outside-rate" known to scenes
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class RateAndState(JointLaw):
 
     tau = |f_n| a asinh(V/(2 V0) exp((f0 + b ln(V0 theta/d_c))/a)),  d theta/dt = 1 - V theta/d_c, with V the plastic slip
     of the step over its length, and theta exact for a V that lasts over it. At once nothing slips. Parameters are numbers
-    or arrays (n,); history: ``plastic_slip`` [length] and ``state`` theta [time].
+    or arrays (n,); history: ``plastic_slip`` [length] and ``age`` theta [time].
     """
 
     normal_stiffness: Parameter
@@ -42,7 +42,7 @@ class RateAndState(JointLaw):
 
     history: ClassVar[dict[str, HistoryVariable]] = {
         "plastic_slip": HistoryVariable("shear", "length", "plastic slip", published=False),
-        "state": HistoryVariable("scalar", "time", "theta, the age of the contacts"),
+        "age": HistoryVariable("scalar", "time", "theta, the age of the contacts"),
     }
     slides: ClassVar[bool] = True
     opens: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class RateAndState(JointLaw):
 
     def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
         """No slip yet, and the given age."""
-        return zero_history(self.history, sections, dim) | {"state": per_section(self.initial_state, sections)}
+        return zero_history(self.history, sections, dim) | {"age": per_section(self.initial_state, sections)}
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
         """Response to strain (n, dim): the elastic trial, returned to the friction at the rate that it makes."""
@@ -70,7 +70,7 @@ class RateAndState(JointLaw):
         slips = (size > 0.0) & (compression > 0.0) & (step.dt > 0.0)
         slip, by_size, by_normal = np.zeros(sections), np.zeros(sections), np.zeros(sections)
         if slips.any():
-            found = self._slip(size[slips], compression[slips], k_s[slips], history["state"][slips], step, slips)
+            found = self._slip(size[slips], compression[slips], k_s[slips], history["age"][slips], step, slips)
             slip[slips], by_size[slips], by_normal[slips] = found
         slip = np.where(is_open, size / k_s, slip)  # open walls carry no shear traction
         ratio = 1.0 - slip * k_s / np.where(size > 0.0, size, 1.0)
@@ -96,7 +96,7 @@ class RateAndState(JointLaw):
             is_sliding=np.zeros(sections, dtype=bool),
             is_open=is_open,
             margin=np.full(sections, np.inf),
-            history={"plastic_slip": plastic, "state": self._aged(history["state"], slip, step)[0]},
+            history={"plastic_slip": plastic, "age": self._aged(history["age"], slip, step)[0]},
         )
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
@@ -158,7 +158,7 @@ def steady_friction(law: RateAndState, rate: float) -> float:
 
 
 if __name__ == "__main__":
-    JOINT_LAWS["rate-and-state"] = RateAndState
+    JOINT_LAWS["outside-rate"] = RateAndState
     from fracflow.cli.app import main
 
     main()

@@ -37,6 +37,19 @@ SAMPLES = {
         initial_normal_traction=-4.0,
         initial_shear_traction=1.0,
     ),
+    "rate-and-state": dict(
+        normal_stiffness=2e3,
+        shear_stiffness=1.5e3,
+        aperture=0.01,
+        friction_coefficient=0.7,
+        reference_slip_rate=1e-6,
+        direct_effect=0.01,
+        evolution_effect=0.015,
+        characteristic_slip=0.001,
+        initial_slip_rate=1e-9,
+        initial_normal_traction=-4.0,
+        initial_shear_traction=1.0,
+    ),
     "linear": dict(
         normal_stiffness=2e3, shear_stiffness=1.5e3, initial_normal_traction=-4.0, initial_shear_traction=1.0
     ),
@@ -371,7 +384,8 @@ def test_turning_while_sliding_is_no_change_of_status():
 
 @pytest.mark.parametrize("name", JOINT_LAWS)
 def test_every_parameter_of_a_law_is_a_key_of_the_scene(name):
-    keys = set(Fracture.model_fields) | {"coupled_tangent", "strength_when_open"}  # the last two are [method]'s
+    keys = set(Fracture.model_fields) | {"coupled_tangent", "strength_when_open", "radiates"}  # the last are [method]'s
+    keys |= {"wave_impedance"}  # the rock's
     assert {field.name for field in fields(JOINT_LAWS[name])} <= keys
 
 

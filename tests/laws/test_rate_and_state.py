@@ -1,4 +1,4 @@
-"""A rate-dependent law that only the tests have: exact steady states at the level of the law, and whole runs."""
+"""A rate-dependent law from outside the package: exact steady states at the level of the law, and whole runs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_steady_state_after_a_step_of_the_rate():
     fast += driven(LAW, fast[-1].history, slip, [FAST] * 220, 0.1 * D_C / FAST)[0]
     frictions = np.array([each.traction[0, 0] / F_N for each in fast])
     assert frictions[-1] == pytest.approx(steady_friction(LAW, FAST), rel=1e-9)
-    assert fast[-1].history["state"][0] == pytest.approx(D_C / FAST, rel=1e-9)
+    assert fast[-1].history["age"][0] == pytest.approx(D_C / FAST, rel=1e-9)
     peak = steady_friction(LAW, SLOW) + LAW.direct_effect * np.log(FAST / SLOW)
     assert peak - 0.004 < frictions.max() < peak, "the direct effect, less what evolves while the spring is loaded"
 
@@ -58,7 +58,7 @@ def test_steady_state_after_a_step_of_the_rate():
 def test_contacts_age_while_nothing_slips():
     held, _ = driven(LAW, LAW.initial_history(1, 2), -1e-3, [0.0], 1e3)
     freed = LAW.evaluate(np.array([[-1.2e-5, 0.0]]), LAW.initial_history(1, 2), LawStep(dt=1e3))
-    assert freed.history["state"][0] == pytest.approx(D_C / SLOW + 1e3, rel=1e-6)
+    assert freed.history["age"][0] == pytest.approx(D_C / SLOW + 1e3, rel=1e-6)
     assert held[0].traction[0, 0] < 0.0, "it slips the other way where it is driven there"
 
 
@@ -101,7 +101,7 @@ density = 2700
 yy = "-1 MPa"
 xy = "0.6 MPa"
 [fracture.seam]
-law = "rate-and-state"
+law = "outside-rate"
 normal_stiffness = "20 GPa/m"
 shear_stiffness = "50 GPa/m"
 aperture = "1 mm"
@@ -136,7 +136,7 @@ CUT = 9
 
 def whole_and_cut(folder: Path) -> None:
     """Run the slider, and run it again with a stop after which it is resumed. In a process of its own."""
-    JOINT_LAWS["rate-and-state"] = RateAndState
+    JOINT_LAWS["outside-rate"] = RateAndState
     from fracflow._petsc import MPI
     from fracflow.scene.scene import load
     from fracflow.simulation.run import resume, run
@@ -164,7 +164,7 @@ def slid(tmp_path_factory):
         f"import sys; sys.path.insert(0, {tests!r}); from pathlib import Path; import laws.test_rate_and_state as t; "
     )
     subprocess.run([sys.executable, "-c", call + f"t.whole_and_cut(Path({str(folder)!r}))"], check=True)
-    assert "rate-and-state" not in JOINT_LAWS
+    assert "outside-rate" not in JOINT_LAWS
     return folder
 
 
@@ -198,7 +198,7 @@ def test_its_history_is_kept_and_a_cut_run_ends_as_the_whole_one(slid):
     one, other = (history_of(slid / name) for name in ("whole", "cut"))
     assert one.keys() == other.keys()
     assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in one)
-    state, same = (read_arrays(slid / name / "checkpoint.h5")["past/0/state"] for name in ("whole", "cut"))
+    state, same = (read_arrays(slid / name / "checkpoint.h5")["past/0/age"] for name in ("whole", "cut"))
     assert np.array_equal(state, same) and state == pytest.approx(D_C * 100 / FAST, rel=1e-3)
 
 
@@ -207,6 +207,6 @@ def test_its_history_is_published_by_itself(slid):
     from fracflow.output import list_steps, read_step
 
     _, point, cell = read_step(list_steps(slid / "whole", "fractures")[-1][1])
-    assert {**point, **cell}["state"] == pytest.approx(D_C * 100 / FAST, rel=1e-3)
-    probed = history_of(slid / "whole")["probe/middle/state"]
+    assert {**point, **cell}["age"] == pytest.approx(D_C * 100 / FAST, rel=1e-3)
+    probed = history_of(slid / "whole")["probe/middle/age"]
     assert probed[0] == pytest.approx(1000.0, rel=1e-12) and probed[26] == pytest.approx(D_C * 100 / FAST, rel=1e-3)

@@ -41,16 +41,16 @@ from functools import cache
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, destroy
+from fracflow._petsc import MPI
 from fracflow.elements import facet, solid
 from fracflow.integrators import EXPLICIT
 from fracflow.integrators.explicit import damped_rate
-from fracflow.mesh.blocks import Blocks, petsc_ints
+from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints
 from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
-from fracflow.model.solid import assembled, by_shape, deformable, elasticity, projected, rock_values
+from fracflow.model.solid import assembled, by_shape, deformable, elasticity, projected, rock_values, summed_at_nodes
 from fracflow.model.terms.term import MeanDamping, Term
 from fracflow.scene.scene import Scene
 
@@ -141,7 +141,7 @@ def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
         at.append(nodes.ravel())
         each = np.repeat(1.0 / np.sqrt(rates[cells[group]]), nodes.shape[1])
         values.append(np.column_stack([each, np.ones(len(each))]))
-    total, count = _summed(blocks, np.concatenate(at), np.concatenate(values)).T
+    total, count = summed_at_nodes(blocks, np.concatenate(at), np.concatenate(values)).T
     mean = total / np.maximum(count, 1.0)
     brief = np.maximum(mean[joints.bottom], mean[joints.top]).max(axis=1, initial=0.0)
     pressed = np.abs(operators.joints.initial[:, -1]).reshape(-1, operators.joints.points).max(axis=1, initial=0.0)
@@ -165,7 +165,7 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
         mass = solid.mass_lumped(block.points[nodes], density[here])
         at.append(nodes.ravel())
         values.append(np.column_stack([own, mass.ravel()]))
-    whole = _summed(blocks, np.concatenate(at), np.concatenate(values))
+    whole = summed_at_nodes(blocks, np.concatenate(at), np.concatenate(values))
     normal = facet.frame(block.points[joints.bottom])[0][:, -1]
     mirror = (np.eye(dim) - 2.0 * normal[:, :, None] * normal[:, None, :])[:, None]
     below, above = (whole[nodes, :-1].reshape(*nodes.shape, dim, dim) for nodes in (joints.bottom, joints.top))
@@ -190,24 +190,8 @@ def cells_near(blocks: Blocks, chosen: Bools, layers: int) -> Bools:
     marked[blocks.joints.bottom[chosen]] = marked[blocks.joints.top[chosen]] = True
     for _ in range(layers):
         here = np.flatnonzero(marked)
-        marked = _summed(blocks, here, np.ones((len(here), 1)))[:, 0] > 0.0
+        marked = summed_at_nodes(blocks, here, np.ones((len(here), 1)))[:, 0] > 0.0
         near = (marked[block.cells] & (block.cells >= 0)).any(axis=1)
         reached = block.cells[near]
         marked[reached[reached >= 0]] = True
     return near
-
-
-def _summed(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
-    """Sums (n, k) at this rank's nodes of what all ranks give theirs, ``values`` (m, k) at ``nodes`` (m,). Collective."""
-    block, width = blocks.solid, values.shape[1]
-    numbers = petsc_ints(block.node_global[:, None] * width + np.arange(width))
-    local = PETSc.Vec().createSeq(numbers.size)
-    whole = PETSc.Vec().createMPI((block.owned * width, blocks.sizes.nodes * width), comm=blocks.comm)
-    whole.setValues(numbers[nodes].ravel(), values.ravel(), addv=PETSc.InsertMode.ADD)
-    whole.assemble()
-    wanted = PETSc.IS().createGeneral(numbers.ravel(), comm=PETSc.COMM_SELF)
-    scatter = PETSc.Scatter().create(whole, wanted, local, None)
-    scatter.scatter(whole, local)
-    found: Floats = local.getArray().reshape(-1, width).copy()
-    destroy(whole, wanted, local, scatter)
-    return found

@@ -1,0 +1,69 @@
+"""Steps by the rate of slip, where friction has a state: none without inertia may slip far beside the slip of its evolution.
+
+A step is V dt <= xi L long, V of each section and L = D_c, or less by the slip law (``JointLaw.state_length``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.advance.outcome import Advance, Outcome
+from fracflow.model.setup import Model
+from fracflow.model.state import State
+from fracflow.solve.request import StepRequest
+
+FINEST = 44  # halvings of a step: one of a century is a fifth of a millisecond then
+BENDS = 24.0  # a rate that changes by ln r within a step leaves an error of slip of (ln r)^2 over that
+LEAST = 1e-3  # of the largest slip of a step: what slips less has no error that counts
+
+
+def creeps(model: Model) -> bool:
+    """Whether the friction of any fracture has a state that slip changes."""
+    return any(group.law.creeps for group in model.operators.joints.laws)
+
+
+def slip_of_states(model: Model, old: State, new: State) -> float:
+    """Largest slip of a step over that which ``accuracy.slip_share`` allows, and over that of the tolerance. Collective.
+
+    accuracy.tolerance  also bounds the error of the slip of each step, over that slip
+    """
+    joints, asked = model.operators.joints, model.scene.accuracy
+    far = np.linalg.norm((new.sections.inelastic - old.sections.inelastic)[:, :-1], axis=1)
+    over, error, most = 0.0, 0.0, model.operators.layout.comm.allreduce(float(far.max(initial=0.0)), op=MPI.MAX)
+    groups = zip(joints.laws, old.sections.history, new.sections.history, strict=True)
+    for group, before, after in ((g, b, a) for g, b, a in groups if g.law.creeps and len(g.sections)):
+        slip = far[group.sections]
+        over = max(over, float((slip / group.law.state_length(after)).max()) / asked.slip_share)
+        if asked.tolerance is None or most == 0.0:
+            continue
+        rates = (np.maximum(each["sliding_rate"], np.finfo(float).tiny) for each in (before, after))
+        bend = np.diff(np.log(list(rates)), axis=0)[0]
+        counts = np.where(slip > LEAST * most, slip / most, 0.0)
+        error = max(error, float((counts * bend**2).max()) / BENDS / asked.tolerance)
+    return float(model.operators.layout.comm.allreduce(max(over, np.sqrt(error)), op=MPI.MAX))
+
+
+def longest_step(model: Model, state: State) -> float:
+    """Time in which no section slips farther than a step may, at its present rate; inf where none creeps. Collective."""
+    shortest = np.inf
+    for group, past in zip(model.operators.joints.laws, state.sections.history, strict=True):
+        if group.law.creeps and len(group.sections):
+            rate = np.maximum(past["sliding_rate"], np.finfo(float).tiny)
+            shortest = min(shortest, float((group.law.state_length(past) / rate).min()))
+    return float(model.operators.layout.comm.allreduce(shortest, op=MPI.MIN)) * model.scene.accuracy.slip_share
+
+
+@dataclass(frozen=True)
+class BySlipRate:
+    """Adds the slip of a substep without inertia, over that allowed, to its outcome, as if it were an error."""
+
+    inner: Advance
+    model: Model
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same. Raises SolveError, on every rank. Collective."""
+        found = self.inner.advance(state, request)
+        return replace(found, error=max(found.error, slip_of_states(self.model, state, found.state)))

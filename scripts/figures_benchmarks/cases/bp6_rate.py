@@ -1,0 +1,86 @@
+"""SEAS BP6-QD-A: a fault with rate-and-state friction that slips slowly as fluid spreads in it for 100 days and drains for 630.
+
+The fault is the one of ``bp6``, whose friction is constant; the pressure is given, by its formula. Beyond 8 km the rock is
+whole: within 730 days it would creep by a thousandth of the slip at the well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from figures_verification.case import Bar
+
+from figures_benchmarks.benchmark import Benchmark, Line, Ran, clocked, table_of
+from figures_benchmarks.cases.bp6 import END, FAR, GROWTH, HALF, OFF, SHEAR, STRESS, TRACTION, pressure
+
+SHARE = 0.2  # of D_c in a step
+WATCHED = range(0, 1500, 100)  # places where the rate is looked at: it is largest near 600 m
+SCENE = """
+rock.rock = {{youngs_modulus = {young}, poissons_ratio = 0, density = 2670}}
+initial_stress = {{xx = -{stress}, yy = -{stress}, zz = -{stress}, xy = {traction}}}
+fluid = {{viscosity = 1e-3, initial_pressure = 0}}
+accuracy = {{slip_share = {share}}}
+support = [{{on = ["south", "north", "east", "west"]}}]
+stage = [
+  {{kind = "steady", time_step = {first}, end = {off}}},
+  {{kind = "steady", time_step = {then}, end = {end}}},
+]
+probe = [{probes}]
+[geometry]
+domain = [-{far}, -{far}, {far}, {far}]
+size = 8000
+size_at_fractures = {size}
+growth = {growth}
+fracture = [{{name = "fault", points = [[-{half}, 0], [{half}, 0]]}}]
+[fracture.fault]
+law = "rate-and-state"
+normal_stiffness = 1e13
+shear_stiffness = 1e13
+aperture = 1e-3
+friction_coefficient = 0.6
+reference_slip_rate = 1e-6
+direct_effect = 0.007
+evolution_effect = 0.005
+characteristic_slip = 0.004
+initial_slip_rate = 1e-12
+pressure = {{along = {along}, time = {times}, value = {values}}}
+"""
+
+
+def run(size: float) -> Ran:
+    """On joints of ``size`` metres."""
+    nodes = np.linspace(-HALF, HALF, round(2 * HALF / size) + 1)
+    rise = np.linspace(0.0, 1.0, 61) ** 2
+    times = np.concatenate([rise * OFF, OFF + rise[1:] * (END - OFF)])
+    values = [[float(f"{p:.8g}") for p in pressure(nodes, at)] for at in times]
+    watched = [f'{{name = "z{z}", at = [{z}, 0], on = "fault", quantities = ["sliding_rate"]}}' for z in WATCHED]
+    found, seconds = clocked(
+        SCENE.format(
+            young=2 * SHEAR, stress=STRESS, traction=TRACTION, first=OFF / 16, off=OFF, then=(END - OFF) / 64, end=END,
+            share=SHARE, far=FAR, size=size, half=HALF, growth=GROWTH * size, probes=", ".join(watched),
+            along=(nodes + HALF).tolist(), times=times.tolist(), values=values,
+        )
+    )  # fmt: skip
+    state, table = found.fractures[-1], table_of("bp6_rate_and_state.csv")
+    order = np.argsort(state.points[:, 0], kind="stable")
+    z, slip = state.points[order, 0], np.abs(state.point["plastic_slip"][order])
+    potency = float(np.sum((slip[1:] + slip[:-1]) / 2 * np.diff(z)))
+    fastest = max(float(found.probe(f"z{at}", "sliding_rate").max()) for at in WATCHED)
+    reached = float(np.interp(0.0, z, slip))
+    right = table["slip_0_m"][-1], table["potency_m2"][-1], table["max_rate_m_per_s"].max()
+    places = np.array([float(key.split("_")[1]) for key in table if key.startswith("slip_")])
+    profile = np.array([table[f"slip_{place:g}_m"][-1] for place in places])
+    line = Line("slip after 730 days", "along the fault [m]", "slip [m]", (z, slip), (places, profile))
+    return Ran(
+        tuple(abs(one / other - 1) for one, other in zip((reached, potency, fastest), right, strict=True)),
+        seconds,
+        (line,),
+    )
+
+
+BENCHMARK = Benchmark(
+    "BP6", "BP6",
+    "SEAS BP6-QD-A (Lambert et al. 2025), quasi-dynamic, ageing law, pressure given; boundary elements of 12.5 m",
+    "the boundary elements are our own; they agree with five public decks in their parameters",
+    (Bar("slip at z = 0", 0.006, None, 0.01), Bar("potency", 0.01, None, 0.01), Bar("largest rate", 0.02, None, 0.02)),
+    run, (200.0, 100.0), (), "joints [m]",
+)  # fmt: skip

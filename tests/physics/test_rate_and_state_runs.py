@@ -1,0 +1,125 @@
+"""Rate-and-state friction in whole runs: a slider up to its instability, and an event with inertia."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from laws.spring_slider import onsets, reference
+
+from fracflow.errors import Interrupted
+from fracflow.output import read_events, read_history
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
+
+SCENE = """
+output = {pictures = false, vtkhdf = false, checkpoint_every = 10}
+rock.rock = {youngs_modulus = 0.6e9, poissons_ratio = 0, density = 2700}
+initial_stress = {xx = -1e7, yy = -1e7, xy = 6e6}
+support = [{on = "south"}, {on = "north", displacement = {x = [[0, 0], [1000, 1e-2]], y = 0}}]
+tie = [{on = ["west", "east"]}]
+probe = [{name = "middle", at = [1, 1], on = "seam", quantities = ["sliding_rate", "state", "plastic_slip"]}]
+[method]
+stepper = "implicit-euler"
+[geometry]
+domain = [0, 0, 2, 2]
+size = 1
+cells = "quads"
+fracture = [{name = "seam", points = [[0, 1], [2, 1]]}]
+[fracture.seam]
+law = "rate-and-state"
+normal_stiffness = 1e12
+shear_stiffness = 1e12
+aperture = 1e-3
+friction_coefficient = 0.6
+reference_slip_rate = 1e-6
+direct_effect = 0.010
+evolution_effect = 0.015
+characteristic_slip = 1e-4
+initial_slip_rate = 1e-6
+"""
+SLOW = '[[stage]]\nname = "load"\nkind = "quasi-static"\ntime_step = 8\nend = 81.5\n'
+AUTO = '[[stage]]\nkind = "auto"\ntime_step = 8\ndynamic_time_step = 1e-3\nend = 82\n'
+STIFFNESS, IMPEDANCE = 1.5e8, 0.5 * np.sqrt(2700 * 3e8)  # of two blocks in series, of one rock on both sides
+RATE = 1e-5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Runs of the slider up to its instability, and stopped on the way; and with inertia as it slips."""
+    home = tmp_path_factory.mktemp("slider")
+    for name, stages in (("slow", SLOW), ("auto", AUTO)):
+        (home / f"{name}.toml").write_text(SCENE + stages)
+        run(load(home / f"{name}.toml"), home / name)
+    left = [60]
+
+    def stop(_):
+        left[0] -= 1
+        if not left[0]:
+            raise KeyboardInterrupt
+
+    with pytest.raises((KeyboardInterrupt, Interrupted)):
+        run(load(home / "slow.toml"), home / "cut", progress=stop)
+    resume(home / "cut")
+    return home
+
+
+def history(folder, name):
+    return read_history(folder / name / "history.h5")
+
+
+pytestmark = pytest.mark.serial
+
+
+def test_it_runs_away_when_an_ode_solver_says_so(folder):
+    kept = history(folder, "slow")
+    middle = kept["time"][1:] - 0.5 * np.diff(kept["time"])
+    rates = kept["probe/middle/sliding_rate"][1:]
+    for fast in (1e-5, 1e-4, 3e-4):
+        exact = reference(STIFFNESS, RATE, 1e-6, 90.0, fast, IMPEDANCE)
+        assert onsets(middle, rates, fast)[:1] == pytest.approx(exact[:1], rel=2e-3)
+    assert (rates * np.diff(kept["time"]) <= 0.1 * 1e-4 * (1 + 1e-9)).all(), "no step slips over a tenth of D_c"
+
+
+def test_its_energy_closes_and_what_it_radiates_is_booked(folder):
+    for name in ("slow", "auto"):
+        kept = history(folder, name)
+        largest = max(np.abs(values).max() for key, values in kept.items() if key.startswith("energy/"))
+        assert np.abs(kept["energy/residual"]).max() <= 1e-10 * largest
+    kept = history(folder, "slow")
+    sent = 2.0 * IMPEDANCE * np.sum(kept["probe/middle/sliding_rate"][1:] ** 2 * np.diff(kept["time"]))
+    assert kept["energy/radiated"][-1] == pytest.approx(sent, rel=1e-9), "a seam 2 m long"
+
+
+def test_creep_is_no_event_and_what_runs_away_is_one_with_inertia(folder):
+    assert read_events(folder / "slow" / "events.csv") == [], "it creeps"
+    rows, kept = read_events(folder / "auto" / "events.csv"), history(folder, "auto")
+    event = [row for row in rows if row["kind"] == "event"]
+    assert len(event) == 1 and event[0]["slip"] > 5e-3 and event[0]["end"] is not None
+    moving = kept["step/kind"] == 2
+    before = kept["probe/middle/sliding_rate"][np.flatnonzero(moving)[0] - 1]
+    assert IMPEDANCE * before == pytest.approx(1e-3 * 6e6, rel=0.5), "inertia comes in as a thousandth is radiated"
+    still = history(folder, "auto")["energy/radiated"][moving]
+    assert np.ptp(still) == 0.0, "waves carry it then"
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_last_bit(folder):
+    one, other = history(folder, "slow"), history(folder, "cut")
+    assert one.keys() == other.keys()
+    assert all(np.array_equal(one[key], other[key], equal_nan=True) for key in one)
+
+
+def test_two_ranks_agree(folder):
+    clean = {
+        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
+    }
+    words = [sys.executable, "-m", "fracflow", "run", str(folder / "slow.toml"), "-o", str(folder / "two")]
+    words += ["--set", "stage.load.end=64"]
+    subprocess.run(["mpirun", "-n", "2", *words], check=True, capture_output=True, env=clean, timeout=300)
+    one, two = history(folder, "slow"), history(folder, "two")
+    steps = len(two["time"])
+    assert steps > 40 and np.array_equal(one["time"][:steps], two["time"])
+    assert two["probe/middle/sliding_rate"] == pytest.approx(one["probe/middle/sliding_rate"][:steps], rel=1e-6)
