@@ -1,7 +1,7 @@
 """A step is taken whole, or in substeps: to where it converges, to where it is accurate, to its events.
 
 Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length. Prompt
-parts are of any length that their errors allow.
+ones have any length that their errors allow.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SubstepCursor:
 
     base    fraction of the step at the last event in it
     part    of what was left there, a sum of powers of 1/2, of prompt parts a multiple of GRAIN
-    level   the next part is at most 2**-level of that; a prompt part of the step
+    level   the next substep is at most 2**-level of that; with ``prompt``, of all of the step
     calm    accepted substeps in a row that could have been longer
     events  of this step so far
     """
