@@ -26,7 +26,7 @@ from fracflow.solve.request import MOST_GROWTH, StepRequest
 MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
 WATCHED = 500  # substeps in a row before the report: some periods of the vibration
 FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
-PASSING = 1.0 / 3.0  # of the allowed error, for what is gone once flow comes to rest
+PASSING = 0.5  # of the allowed error, for what is gone once flow comes to rest; the rest is for what adds up
 LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
 
 
@@ -54,7 +54,8 @@ class ErrorEstimator:
     stay. With neither key there is no estimate.
 
     Errors of both signs follow each other where a front of pressure fills one joint after another, and after a jump. Their sum
-    is small, however many they are (``passing_error``). A substep in which it is a third of the tolerance is accurate too.
+    is small, however many they are (``passing_error``). A substep in which it is half of the tolerance is accurate too; the
+    other half is shared by the rest.
 
     The end of a substep, and of rejected ones, shows how far the motion will go. That holds only until accepted states have
     come as far: a long substep may end on the peak of a short load.
@@ -69,6 +70,8 @@ class ErrorEstimator:
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
         self.of_flow = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        # of the allowed error, for the sum of those that do not pass
+        self.adding = 1.0 - PASSING if self.of_flow and cast(FlowRule, stepper).has_passing_error else 1.0
         # where fracture flow begins anew, since earlier steps do not predict later ones
         self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_flow and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
@@ -117,7 +120,7 @@ class ErrorEstimator:
         passing, allowed = np.inf, max(self.tolerance * largest, float(np.finfo(float).tiny))
         if self.of_flow:
             error, passing = self._flow_error(dt, old, new)
-            span = self._span(old.time, new.time)
+            span = self._span(old.time, new.time) / self.adding
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length

@@ -1,6 +1,7 @@
 """A step is taken whole, or in substeps: to where it converges, to where it is accurate, to its events.
 
-Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length.
+Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length. Prompt
+ones have any length that their errors allow.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
-MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
+MARGIN = 0.75  # of what is allowed: the error that the next prompt part is expected to have
+GROWTH = 2.0  # of prompt parts, each over the last
+GRADES = (
+    8  # lengths of prompt parts in an octave: they do not follow round-off, so that all numbers of ranks take the same
+)
+GRAIN = 2.0**-40  # of a step: sums of such lengths are exact
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
 HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
@@ -32,7 +38,7 @@ class Rules:
     events   events in a step that parts end at; later ones are taken as they fall
     finest   times that it may be halved to be accurate, where that is not ``most``; only from there on is it halved to
              converge. Else substeps would shrink for ever towards an instant past which there is no solution
-    prompt   the next part is twice as long as soon as it may be: no factors are kept that would serve again
+    prompt   the next part is as long as its error allows: no factors are kept that would serve again
     """
 
     most: int
@@ -47,15 +53,15 @@ class SubstepCursor:
     """Where in a step a run is, and how long its next part may be.
 
     base    fraction of the step at the last event in it
-    part    of what was left there, a sum of powers of 1/2
-    level   the next part is at most 2**-level of that
+    part    of what was left there, a sum of powers of 1/2, of prompt parts a multiple of GRAIN
+    level   the next substep is at most 2**-level of that; with ``prompt``, of all of the step
     calm    accepted substeps in a row that could have been longer
     events  of this step so far
     """
 
     base: float = 0.0
     part: float = 0.0
-    level: int = 0
+    level: float = 0
     calm: int = 0
     events: int = 0
 
@@ -76,7 +82,8 @@ class SubstepCursor:
     def of(cls, progress: Mapping[str, float]) -> SubstepCursor:
         """The place that a checkpoint stored."""
         base, part = progress.get("place_base", 0.0), progress.get("place_part", 0.0)
-        return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
+        level, calm, events = (progress.get(f"place_{name}", 0) for name in ("level", "calm", "events"))
+        return cls(base, part, level, int(calm), int(events))
 
 
 def most_halvings(scene: Scene) -> int:
@@ -118,24 +125,26 @@ class Substepped:
         """
         rules, place, step = self.rules, self.place, request.step
         assert step is not None
-        most, refused, spent = rules.most + min(place.level, rules.finest), list[tuple[int, float]](), StepReport()
+        most, refused, spent = rules.most + min(place.level, rules.finest), list[tuple[float, float]](), StepReport()
         last, other = _Cause(), ""
-        for level, size in _sizes(place, max(most, rules.finest)):
+        for level, size in _sizes(place, max(most, rules.finest), rules.prompt):
             if rules.finest and level < place.level:
                 continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
             if level < rules.finest and not self._is_straight(step, start, end):
-                place = replace(place, level=level + 1, calm=0)
+                place = replace(place, level=min(level + 1, rules.finest), calm=0)
                 continue
             asked = replace(step.part(state.controls, start, end), may_stop=place.events < rules.events)
             try:
                 found = self.inner.advance(state, asked)
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
-                self.log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
+                again = level + 1 <= most
+                self.log(f"step halved: {str(error).partition(';')[0]}" if again else f"step given up: {error}")
                 now = _Cause(str(error).partition(";")[0], type(error), error.kind)
                 last, other = now, other if now.is_like(last) else last.text
-                if level < most:
+                if again:
+                    place = replace(place, level=level + 1) if rules.prompt else place
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
                 before = f"; before that: {other}" if other else ""
@@ -144,7 +153,7 @@ class Substepped:
                 found.state.destroy()
                 spent = spent.with_rejected(found.report.newton)
                 refused.append((level, min(found.error, HOPELESS)))
-                deeper = min(level + _halvings(refused, rules.order), rules.finest) if rules.finest else level + 1
+                deeper = min(level + _halvings(refused, rules), rules.finest) if rules.finest else level + 1
                 place = replace(place, level=deeper, calm=0)
                 continue
             break
@@ -153,7 +162,7 @@ class Substepped:
             events = place.events + (not found.foreseen)
             place = replace(place, base=found.reached, part=0.0, events=events)
         else:
-            place = _after(replace(place, part=place.part + size), found.error, rules)
+            place = _after(replace(place, part=place.part + size), size, found.error, rules)
         self.place = place.next_step() if place.fraction == 1.0 else place
         length = step.length * (found.reached - start)
         return replace(found, report=found.report.after_trials(spent), length=length)
@@ -164,31 +173,47 @@ class Substepped:
         return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
 
 
-def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
+def _halvings(refused: Sequence[tuple[float, float]], rules: Rules) -> float:
     """Further halvings of a substep with these errors, over the allowed one, at these levels, if they go on falling so."""
     level, error = refused[-1]
-    falls = float(order)
+    falls = float(rules.order)
     if len(refused) > 1:
         falls = math.log2(refused[-2][1] / error) / (level - refused[-2][0])
-    return max(1, min(DEEPEST, math.ceil(math.log2(error) / max(LEAST_ORDER, falls))))
+    falls = max(LEAST_ORDER, falls)
+    if rules.prompt:
+        return min(DEEPEST, _graded(math.log2(error / MARGIN) / falls))
+    return max(1, min(DEEPEST, math.ceil(math.log2(error) / falls)))
 
 
-def _sizes(place: SubstepCursor, most: int) -> Iterator[tuple[int, float]]:
-    """Lengths to try, with their levels: the longest that fits the place, and its halves."""
+def _graded(level: float) -> float:
+    """The next level of a prompt part."""
+    return math.ceil(GRADES * level) / GRADES
+
+
+def _sizes(place: SubstepCursor, most: float, prompt: bool) -> Iterator[tuple[float, float]]:
+    """Lengths to try, with their levels: the longest that fits the place, and its halves, of a prompt part each grade."""
+    if prompt:
+        left, rest = 1.0 - place.part, 1.0 - place.base
+        first = max(_graded(place.level), math.floor(-GRADES * math.log2(left * rest)) / GRADES)
+        for n in range(int(GRADES * max(most - first, 0.0)) + 1):
+            level = first + n / GRADES
+            size = 0.5**level / rest
+            yield level, left if size >= left else GRAIN * max(1, round(min(size, 0.5 * left) / GRAIN))
+        return
     size = min(next_substep(place.part), 0.5**place.level)
-    level = 0
-    while 0.5**level > size:
-        level += 1
-    yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
+    n = 0
+    while 0.5**n > size:
+        n += 1
+    yield from ((each, 0.5**each) for each in range(n, max(int(most), n) + 1))
 
 
-def _after(place: SubstepCursor, error: float, rules: Rules) -> SubstepCursor:
-    """The place where a substep has ended, with the length of the next one by its ``error``."""
+def _after(place: SubstepCursor, size: float, error: float, rules: Rules) -> SubstepCursor:
+    """The place where a substep of such a ``size`` has ended, with the length of the next one by its ``error``."""
     if not rules.order:
         return place
     if rules.prompt:
-        longer = error < MARGIN * 0.5**rules.order
-        return replace(place, level=max(place.level - longer, 0))
+        longer = min((MARGIN / error) ** (1.0 / rules.order), GROWTH) if error > 0.0 else GROWTH
+        return replace(place, level=max(_graded(-math.log2(longer * size * (1.0 - place.base))), 0.0))
     calm = place.calm + 1 if error < 0.5 ** (rules.order + 1) else 0
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 

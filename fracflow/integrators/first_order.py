@@ -43,6 +43,7 @@ class FlowRule(Stepper, Protocol):
     """A rule with storage and without inertia."""
 
     inertia: ClassVar[bool] = False
+    has_passing_error: ClassVar[bool] = False
 
     def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
         """The dt (v_new - v)/2 of backward Euler, without inertia: more than the rules of second order add."""
@@ -112,6 +113,7 @@ class BDF2(FlowRule):
 
     order: ClassVar[int] = 2
     memory: ClassVar[bool] = True
+    has_passing_error: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""

@@ -1,4 +1,4 @@
-"""CPU of a Newton iteration by its parts, at 1.2e3 nodes: a fracture 10 um wide under pressures that rise in jumps.
+"""CPU of a Newton iteration by its parts, at 1.2e3 nodes: the first three minutes of Task B of ``figures benchmarks``.
 
     scripts/bench iteration [SCENE] [--cells N] [--ranks N] [--repeats N] [--set KEY=VALUE] [--out DIR]
                             [--most SECONDS] [--outside SHARE]
@@ -22,39 +22,11 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(1, str(Path(__file__).parents[1]))
 import _network as network
 from _stopwatch import Stopwatch
 
-SCENE = """\
-title = "A fracture 10 um wide in shale, wetted by pressures that rise in jumps"
-rock.rock = {youngs_modulus = 6.1065e9, poissons_ratio = 0.3275, density = 2450}
-initial_stress = {xx = -5.3e6, yy = -7.0e6, zz = -6.0e6}
-fluid = {viscosity = 1e-3, initial_pressure = 0.5e6, compressibility = 4.4e-10, specific_weight = 9810, flow_depth = 1}
-support = [{on = ["west", "east"], components = ["x"]}, {on = ["south", "north"], components = ["y"]}]
-stage = [{name = "test", kind = "quasi-static", time_step = 3, steps = 60}]
-[[well]]
-name = "injection"
-at = [0, 0]
-pressure = [[0, 0.5e6], [0.01, 0.7446e6], [23, 0.7446e6], [23.01, 1.919e6], [100, 1.919e6], [100.01, 3.627e6], [1e3, 3.627e6]]
-[[well]]
-name = "top"
-at = {fracture = "fault", end = "end"}
-pressure = "initial"
-[[well]]
-name = "bottom"
-at = {fracture = "fault", end = "start"}
-pressure = "initial"
-[geometry]
-domain = [-10, -10, 10, 10]
-size = 1.5
-size_at_fractures = 0.2
-fracture = [{name = "fault", points = [[-4.63235, -10], [4.63235, 10]]}]
-[fracture.fault]
-normal_stiffness = 20e9
-shear_stiffness = 20e9
-aperture = 10e-6
-friction_coefficient = 0.40403
-"""
+STAGE = 'stage = [{name = "test", kind = "quasi-static", time_step = 3, steps = 60}]'
 PETSC = "PETSc"
 OF_ITERATION = {
     "joint laws": ["solve.problem:StepProblem.evaluate_joints"],
@@ -117,15 +89,17 @@ def measure(scene: Path, ranks: int, overrides: list[str]) -> dict[str, dict[str
 def main() -> None:
     """Measure, print and judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", nargs="?", type=Path, help="a scene in place of the fracture in shale")
+    parser.add_argument("scene", nargs="?", type=Path, help="a scene in place of Task B")
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--set", action="append", default=[], help="key=value of the scene, as for fracflow run")
     parser.add_argument("--cells", type=int, help="triangles of a network in its place")
-    parser.add_argument("--most", type=float, help="CPU seconds of an iteration; .015 of the fracture in shale")
+    parser.add_argument("--most", type=float, help="CPU seconds of an iteration; .015 of Task B")
     parser.add_argument("--outside", type=float, default=1.0, help="share outside PETSc")
     parser.add_argument("--out", type=Path, help="for iteration.csv")
     given = parser.parse_args()
+    from figures_benchmarks.cases import task_b
+
     with tempfile.TemporaryDirectory() as folder:
         scene, overrides = given.scene or Path(folder) / "scene.toml", given.set
         if given.cells:
@@ -134,7 +108,7 @@ def main() -> None:
             scene.write_text(network.SCENE.format(cells=given.cells, mesh="network.msh"), encoding="utf-8")
             overrides = ["stage.0.steps=5", *overrides]
         elif given.scene is None:
-            scene.write_text(SCENE, encoding="utf-8")
+            scene.write_text(f"{STAGE}\n{task_b.scene()}", encoding="utf-8")
             given.most = given.most or 0.015
         runs = [measure(scene.resolve(), given.ranks, overrides) for _ in range(given.repeats)]
     found = min(runs, key=lambda run: sum(run["parts"].values()))

@@ -65,7 +65,7 @@ CASES = {
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "parts of a step": ("failures/closing_joint", ["accuracy.max_iterations=6"], (4, 7)),
-    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.flow_integrator=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 8)),
+    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.flow_integrator=bdf2", "accuracy.tolerance=0.1", *SHORT], (4, 8)),
     "tolerance at a jump": (CRACK + QUASI, [*JUMP, "method.flow_integrator=bdf2", "stage.0.steps=2"], (5, 6, 7)),
     "tolerance at a spike": ("report_5_2", SPIKE, (3, 12)),
     "slip weakening": (LAYER, ["stage.0.time_step=0.1"], (6, 9, 12)),

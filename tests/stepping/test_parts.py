@@ -196,8 +196,32 @@ def test_a_tolerance_comes_at_once_to_where_errors_fall_to():
     assert [end for _, end in attempt.tried[:3]] == [1.0, 1 / 8, 1 / 512] and first[:2] == (0.0, 1 / 4096)
 
 
+PROMPT = Rules(6, order=2, finest=24, prompt=True)
+
+
 def test_prompt_parts_double_as_their_errors_foretell():
-    """A part of 1/2 is allowed, one of 1 is not; each length is left as soon as the next one fits the place."""
-    rules = Rules(6, order=2, finest=24, prompt=True)
-    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, SubstepCursor(level=6))]
-    assert ends == [1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0]
+    """A part of 0.6 is allowed, one of 1 is not; the last two share what is left, and none doubles more than once."""
+    parts = taken(reaching(error=lambda size: (size / 0.6) ** 2), PROMPT, SubstepCursor(level=6))
+    ends = [end for _, end, _ in parts]
+    assert ends == [1 / 64, 3 / 64, 7 / 64, 15 / 64, 31 / 64, 31 / 64 + 33 / 128, 1.0]
+
+
+def test_prompt_parts_are_as_long_as_their_errors_allow():
+    """3/4 of the allowed error at 0.0866, of an error of order 2: rounded down to 0.0811 = 2**-3.625, a grade of lengths."""
+    attempt = reaching(error=lambda size: (size / 0.1) ** 2)
+    parts = taken(attempt, PROMPT)
+    sizes = [end - begin for begin, end, _ in parts]
+    assert len(attempt.tried) == len(parts) + 1 and sizes[:-2] == pytest.approx(
+        [2**-3.625] * (len(sizes) - 2), rel=1e-9
+    )
+    assert sizes[-1] == pytest.approx(sizes[-2], abs=1e-12) and parts[-1][1] == 1.0
+
+
+def test_prompt_parts_keep_their_length_beyond_an_event_and_the_end_of_a_step():
+    """At the event at 0.9 a tenth of the step is left; parts of 1/64 stay, in it and in the next step."""
+    rules = Rules(6, order=2, events=5, finest=24, prompt=True)
+    wrong = reaching(event=0.9, error=lambda size: 0.75 * (64.0 * size) ** 2)
+    parts = taken(wrong, rules, SubstepCursor(level=6))
+    sizes = [end - begin for begin, end, _ in parts]
+    assert max(sizes) == pytest.approx(1 / 64) and sum(size > 0.99 / 64 for size in sizes) >= 61
+    assert taken(wrong, rules, parts[-1][2])[0][1] == pytest.approx(1 / 64, rel=0.1)

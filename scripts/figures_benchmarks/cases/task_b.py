@@ -48,9 +48,14 @@ def pumped() -> list[list[float]]:
     return points
 
 
+def scene() -> str:
+    """It without its stage."""
+    return SCENE.replace("PUMPED", str(pumped()))
+
+
 def run(step: float) -> Ran:
     """In steps of so many seconds: errors of slip and opening as each pressure ends, and of the first slip."""
-    found, seconds = clocked(SCENE.replace("PUMPED", str(pumped())), STAGE.format(step=step))
+    found, seconds = clocked(scene(), STAGE.format(step=step))
     time, limit = found.history["time"], table_of("task_b_limit.csv")
     curves = {
         "slip": (np.abs(found.probe("injection", "slip")) * 1e3, limit["slip_mm"]),
