@@ -1,9 +1,10 @@
 """Displacements of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
 
 The support of a hat is parted where fractures cut it. Each part moves alone, so that parts jump, slide and open. The hats of a
-part sum to 1 and to its coordinates, and every block of rock can also move rigidly. Hats cover the whole rock, since the stiffness
-against slip of a wavelength comes from rock as far away. Hats along the fractures alone made the iterations grow with the square
-root of the number of hats on a fracture.
+part sum to 1 and to its coordinates, and every block of rock can also move rigidly.
+
+Hats cover the whole rock. What resists a slip of some wavelength is rock as far away. Hats along the fractures alone resist it
+by the ratio of that wavelength to their size too much, and iterations grew with the root of that ratio.
 """
 
 from __future__ import annotations
