@@ -125,7 +125,7 @@ class FracturedRock:
         systems["strips"].copy(self.joints, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.joints.axpy(-1.0, stands["strips"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.change = self.joints.PtAP(self.beside, self.change)
-        stands["jumps"].copy(systems["jumps"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        stands["jumps"].copy(systems["jumps"])  # which has entries of empty rows beside
         systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         _fill_empty(systems["jumps"])
         _shift(systems["jumps"])
@@ -174,7 +174,7 @@ def _rows_of(moved: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
 def _fill_empty(system: PETSc.Mat) -> None:
     """Put 1 on the diagonal of empty rows. Collective.
 
-    They belong to displacements of held unknowns, and to levels of pressure that no jump of the coarse grid sets.
+    They belong to displacements of held unknowns, and to pressures between parts of a hat that meet in no joint.
     """
     indptr, _, values = system.getValuesCSR()
     size, has = np.zeros(len(indptr) - 1), np.diff(indptr) > 0
