@@ -1,9 +1,9 @@
-"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--unknowns N...] [--normal K...] [--shear K...] [--out DIR].
+"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--unknowns N...] [--rows N...] [--out DIR].
 
 A network of 20 fractures (that of scripts/bench size), stressed so that hundreds of sections slide and some open as it is
 pumped, with so many triangles each, by LU of the whole and by multigrid: Newton and Krylov iterations, and the CPU seconds and
-memory of a run in a process of its own. Then one coupled step of ten fractures, for each pair of normal and shear stiffness:
-Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov iterations a Newton iteration,
+memory of a run in a process of its own. Then one coupled step of 1 to 200 closed fractures, in rows of stiffnesses, apertures,
+their contrast and time steps: Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov iterations a Newton iteration,
 sections that slide as by LU, and no step halved that LU does not halve.
 """
 
