@@ -3,8 +3,8 @@
 A network of 20 fractures (that of scripts/bench size), stressed so that hundreds of sections slide and some open as it is
 pumped, with so many triangles each, by LU of the whole and by multigrid: Newton and Krylov iterations, and the CPU seconds and
 memory of a run in a process of its own. Then one coupled step of 1 to 200 closed fractures, in rows of stiffnesses, apertures,
-their contrast and time steps: Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov iterations a Newton iteration,
-sections that slide as by LU, and no step halved that LU does not halve.
+their contrast and time steps: Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov
+iterations a Newton iteration, sections that slide as by LU, and no step halved that LU does not halve.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The parts of the preconditioner of large scenes: what they move, what they leave, and that ranks make the same."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -159,7 +160,7 @@ def test_grids_reach_from_the_joints_to_the_rock():
     wall = walls(blocks, nodes_of(blocks)) >= 0.0
     even, graded = (grid_sizes(blocks, wall, length, 10.0) for length in (mean, mean / 100.0))
     assert len(even) == 1 and graded[0] == pytest.approx(0.1 * mean)
-    assert len(graded) == 4 and all(3.0 < b / a < 6.0 for a, b in zip(graded[:-1], graded[1:], strict=True))
+    assert len(graded) == 4 and all(3.0 < b / a < 6.0 for a, b in pairwise(graded))
     assert len(grid_sizes(blocks, np.zeros_like(wall), mean / 100.0, 10.0)) == 1  # no fracture
 
 
