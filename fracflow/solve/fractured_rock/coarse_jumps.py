@@ -1,10 +1,10 @@
-"""Displacements of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
+"""Jumps of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
 
 The support of a hat is parted where fractures cut it. Each part moves alone, so that parts jump, slide and open. The hats of a
 part sum to 1 and to its coordinates, and every block of rock can also move rigidly.
 
-Hats cover the whole rock. What resists a slip of some wavelength is rock as far away. Hats along the fractures alone resist it
-by the ratio of that wavelength to their size too much, and iterations grew with the root of that ratio.
+Hats cover the whole rock, since rock as far away as its wavelength resists a slip. Hats along the fractures alone resist it too
+much, by the ratio of that wavelength to their size. Iterations then grow with the root of that ratio.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _extent(blocks: Blocks) -> Floats:
 def grid_sizes(blocks: Blocks, wall: Bools, length: float, nodes: float) -> list[float]:
     """Cells of the grids [length], ascending: at joints of a mean ``length``, then about four times as large each.
 
-    nodes  of the mesh along an edge of a cell
+    wall (n,) local nodes that are walls; nodes of the mesh along an edge of a cell
 
     The last serves the whole rock, and there is no other where the mesh is about as fine everywhere. Collective.
     """
@@ -82,8 +82,8 @@ def coarse_jumps(
 ) -> PETSc.Mat:
     """W: unknowns of a step from the parts of hats, ``dim`` components each, and from pressures in the fractures between them.
 
-    nodes  shares values of nodes; wall (n,) local nodes that are walls; sizes of the grids' cells [length], the last for all
-    rock, others for what fractures cut; held  numbers of unknowns that no part moves
+    nodes  shares values of nodes; wall (n,) local nodes that are walls; held  numbers of unknowns that no part moves
+    sizes  of the grids' cells [length], the last for all rock, others for hats that fractures cut
 
     Each part of a hat but the first has a pressure, on the joints between it and parts before it. So no pressure is without an
     opening that it acts on, and a stiffness. The caller destroys W. Collective.

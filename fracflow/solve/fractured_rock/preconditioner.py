@@ -1,12 +1,12 @@
 """A preconditioner of rock that slides and opens along fractures, of few iterations whatever the joints do.
 
 A displacement is one that the walls of a fracture share, and a jump across it. The shared one feels no joint: one cycle of
-multigrid solves for it, as in intact rock. Short jumps are solved for exactly in strips along the fractures, with all
-pressures, and long ones on a coarse grid that the fractures cut, with pressures as coarse. Each part corrects what the one
+multigrid solves for it, as in intact rock. Long jumps are solved for on a coarse grid that the fractures cut, with pressures as
+coarse. Short ones are solved for exactly in strips along the fractures, with all pressures. Each part corrects what the one
 before has left (multiplicative Schwarz; Smith, Bjorstad and Gropp 1996). Only the two small systems change with the joints.
 
-The strips come last, and leave nothing in their own rows. So from the second residual on all rows are of rock outside them,
-and of like size, however small or large the rows of the flow are.
+The strips come last, and leave nothing in their own rows. All later residuals are of rock outside them. Its rows are of like
+size, however small or large those of the flow are.
 """
 
 from __future__ import annotations
