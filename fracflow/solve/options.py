@@ -55,8 +55,8 @@ MULTIGRID_FROM = 2_000_000
 ranks, it took 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
 
 # Sparse coarse grids: a cycle takes two thirds of the time of BoomerAMG's defaults in PETSc, with as many iterations.
-# Rows of the flow may be many orders smaller than the rock's, or larger, and FGMRES weighs them by their size. The first guess is
-# the preconditioner's. It leaves a residual in rock outside the strips alone, and so do all that follow.
+# Rows of the flow may be many orders smaller than the rock's, or larger, and FGMRES weighs them by their size. The first guess
+# is the preconditioner's. It leaves a residual in rock outside the strips alone, and so do all that follow.
 _FRACTURED: dict[str, Value] = {
     "ksp_type": "fgmres",
     "ksp_knoll": True,
