@@ -165,3 +165,24 @@ def _try_options() -> None:
             raise InputError(f"{where}: {reason}; see PETSc's manual") from None
         finally:
             solver.destroy()
+    _try_types()
+
+
+def _try_types() -> None:
+    """Raise InputError for a ``-mat_type`` or ``-vec_type`` that the program's matrices and vectors cannot have."""
+    given, alone = PETSc.Options(), PETSc.COMM_WORLD.getSize() == 1
+    for option, new, default in (("mat_type", PETSc.Mat, "aij"), ("vec_type", PETSc.Vec, "mpi")):
+        name, thing, reason = given.getString(option, default), new().create(comm=PETSc.COMM_SELF), ""
+        if option == "mat_type" and not name.removeprefix("seq").removeprefix("mpi").startswith("aij"):
+            reason = "the program fills and factors types of the family aij alone, such as aijcusparse or aijkokkos"
+        elif name.startswith("seq") and not alone:
+            reason = "that type is of one rank"
+        try:
+            thing.setSizes(1)
+            thing.setType(name)
+        except PETSc.Error as error:
+            reason = reason or str(error).splitlines()[-1].partition("] ")[2]
+        finally:
+            thing.destroy()
+        if reason:
+            raise InputError(f"PETSc option -{option} {name}: {reason}; take another, or leave it out")

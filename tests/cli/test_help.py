@@ -78,4 +78,8 @@ def test_petsc_prints_its_own_table_of_a_run(tmp_path):
         assert re.search(rf"^ *\d+: +{stage}: [\d.e-]+ ", done.stdout, re.MULTILINE), stage
     counts = {name: int(count) for name, count in re.findall(r"^(\w+) +(\d+) 1\.0 ", done.stdout, re.MULTILINE)}
     assert counts["FracOutput"] > counts["FracStep"] > 0 and counts["FracSetUp"] == 1
-    assert counts["FracEvaluate"] == counts["SNESFunctionEval"] > 0 and counts["FracAssemble"] > 0 and counts["FracLaws"] > 0
+    assert (
+        counts["FracEvaluate"] == counts["SNESFunctionEval"] > 0
+        and counts["FracAssemble"] > 0
+        and counts["FracLaws"] > 0
+    )
