@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from fracflow._petsc import PETSc
 from fracflow.errors import InputError
+from fracflow.solve.rock_cost import takes_multigrid
 
 Value = str | float | int | bool
 
@@ -49,10 +51,6 @@ OPTIONS: dict[str, dict[str, Value]] = {
     "explicit": {"ksp_type": "preonly", "pc_type": "lu"},  # the pressures of an explicit step
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
-
-MULTIGRID_FROM = 2_000_000
-"""Displacement unknowns from which multigrid takes no more time than a factorisation, and a third less memory. At 2.0e6, on 2
-ranks, it took 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
 
 # Sparse coarse grids: a cycle takes two thirds of the time of BoomerAMG's defaults in PETSc, with as many iterations.
 _FRACTURED: dict[str, Value] = {
@@ -121,22 +119,19 @@ def is_meant(prefix: str) -> bool:
     return any(name.startswith(f"{prefix}_") for name in _given)
 
 
-def takes_multigrid(rock_solver: str, unknowns: int) -> bool:
-    """Whether so many displacements are solved for by multigrid: as the scene says, or else where it takes no more time."""
-    return rock_solver == "multigrid" or (rock_solver == "auto" and unknowns >= MULTIGRID_FROM)
-
-
-def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto") -> None:
+def set_defaults(
+    given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto", memory: float = math.inf
+) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``rock_solver`` and ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between
-    factorisations. Options of an earlier call, for this scene or another of this process, are removed.
+    ``rock_solver``, ``unknowns`` of displacement and ``memory`` at hand [bytes] decide between factorisation and multigrid, and
+    ``ranks`` between factorisations. Options of an earlier call, for this scene or another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
     _given.clear()
     _given.update(given, database.getAll())
-    is_multigrid = takes_multigrid(rock_solver, unknowns)
+    is_multigrid = takes_multigrid(rock_solver, unknowns, memory=memory)
     tables = [
         OPTIONS,
         *([MULTIGRID] if is_multigrid else []),
