@@ -104,7 +104,7 @@ class JoinedMatrix:
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
         # what does not depend on the state, the held rows too: copied before what does is added
-        self._stands = self.matrix.duplicate()
+        self.stands = self.matrix.duplicate()
         self._stands_for: tuple[Any, ...] = ()
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
@@ -223,7 +223,7 @@ class JoinedMatrix:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]
         self._keep_standing(alphas, flow_scale, only)
-        self._stands.copy(matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.stands.copy(matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
@@ -269,8 +269,8 @@ class JoinedMatrix:
             data[places] = weights
         data[free.held_entries] = 0.0
         data[free.held_diagonal] = 1.0
-        self._stands.setValuesCSR(self._indptr, self._col, data)
-        self._stands.assemble()
+        self.stands.setValuesCSR(self._indptr, self._col, data)
+        self.stands.assemble()
 
     def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
         """Add what compression does to the rows that keep the fluid of a part."""
@@ -283,7 +283,7 @@ class JoinedMatrix:
 
     def destroy(self) -> None:
         """Free the matrices. Collective."""
-        destroy(self.matrix, self._stands)
+        destroy(self.matrix, self.stands)
 
 
 def _union(keys: list[Ints]) -> Ints:

@@ -76,7 +76,7 @@ def cut_hats(rise, comm):
     blocks = operators.blocks
     nodes = nodes_of(blocks)
     is_wall = walls(blocks, nodes) >= 0.0
-    return blocks, coarse_jumps(blocks, operators.layout, nodes, is_wall, 1.01, np.zeros(0, dtype=int))
+    return blocks, coarse_jumps(blocks, operators.layout, nodes, is_wall, [1.01], np.zeros(0, dtype=int))
 
 
 @pytest.mark.parametrize("rise", [0.0, 0.3])

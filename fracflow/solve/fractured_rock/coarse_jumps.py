@@ -1,7 +1,10 @@
-"""Jumps of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
+"""Displacements of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
 
 The support of a hat is parted where fractures cut it. Each part moves alone, so that parts jump, slide and open. The hats of a
 part sum to 1 and to its coordinates, and every block of rock can also move rigidly.
+
+Hats cover the whole rock. What resists a slip of some wavelength is rock as far away. Hats along the fractures alone resist it
+by the ratio of that wavelength to their size too much, and iterations grew with the root of that ratio.
 """
 
 from __future__ import annotations
@@ -21,9 +24,9 @@ from fracflow.solve.fractured_rock.shared import Shared
 
 @dataclass(frozen=True)
 class Hats:
-    """The hats at local nodes, 2^dim each.
+    """The hats of a grid at local nodes, 2^dim each.
 
-    number  (n, 2^dim) of the hat on the grid, -1 where it is zero or far from all fractures
+    number  (n, 2^dim) of the hat on the grid, -1 where it is zero
     value   (n, 2^dim) of the hat at the node
     count   of the grid
     """
@@ -35,10 +38,8 @@ class Hats:
 
 def hats(blocks: Blocks, size: float) -> Hats:
     """Products of linear functions on a grid of cells of ``size``, at the local nodes. Collective."""
-    points, comm = blocks.solid.points, blocks.comm
-    dim = blocks.sizes.dim
-    extremes = np.stack([points.min(axis=0), -points.max(axis=0)]) if len(points) else np.full((2, dim), np.inf)
-    low, high = np.min(comm.allgather(extremes), axis=0) * [[1.0], [-1.0]]
+    points, dim = blocks.solid.points, blocks.sizes.dim
+    low, high = _extent(blocks)
     shape = np.floor((high - low) / size).astype(np.int64) + 2
     cell = np.floor((points - low) / size).astype(np.int64)
     within = (points - low) / size - cell
@@ -52,60 +53,106 @@ def hats(blocks: Blocks, size: float) -> Hats:
     return Hats(number, value, int(shape.prod()))
 
 
-def coarse_jumps(blocks: Blocks, layout: Layout, nodes: Shared, wall: Bools, size: float, held: Ints) -> PETSc.Mat:
-    """W: unknowns of a step from the parts of cut hats, ``dim`` components each, and from all pressures.
+def _extent(blocks: Blocks) -> Floats:
+    """Lowest and highest coordinates (2, dim) of the mesh. Collective."""
+    points = blocks.solid.points
+    extremes = np.stack([points.min(axis=0), -points.max(axis=0)]) if len(points) else np.inf
+    found = blocks.comm.allgather(np.broadcast_to(extremes, (2, blocks.sizes.dim)))
+    return np.min(found, axis=0) * np.array([[1.0], [-1.0]])
 
-    nodes  shares values of nodes; wall (n,) local nodes that are walls; size of the grid's cells [length];
-    held  numbers of unknowns that no part moves
+
+def grid_sizes(blocks: Blocks, wall: Bools, length: float, nodes: float) -> list[float]:
+    """Cells of the grids [length], ascending: at joints of a mean ``length``, then about four times as large each.
+
+    nodes  of the mesh along an edge of a cell
+
+    The last serves the whole rock, and there is no other where the mesh is about as fine everywhere. Collective.
+    """
+    low, high = _extent(blocks)
+    mean = (float(np.prod(high - low)) / blocks.sizes.nodes) ** (1.0 / blocks.sizes.dim)
+    if not blocks.comm.allreduce(bool(wall.any()), op=MPI.LOR):
+        return [nodes * mean]
+    ratio = max(mean / length, 1.0)
+    steps = round(np.log(ratio) / np.log(4.0))
+    return [nodes * length * ratio ** (step / max(steps, 1)) for step in range(steps + 1)]
+
+
+def coarse_jumps(
+    blocks: Blocks, layout: Layout, nodes: Shared, wall: Bools, sizes: list[float], held: Ints
+) -> PETSc.Mat:
+    """W: unknowns of a step from the parts of hats, ``dim`` components each, and from all pressures.
+
+    nodes  shares values of nodes; wall (n,) local nodes that are walls; sizes of the grids' cells [length], the last for all
+    rock, others for what fractures cut; held  numbers of unknowns that no part moves
 
     The caller destroys W. Collective.
     """
     block, dim, comm = blocks.solid, blocks.sizes.dim, blocks.comm
-    found = hats(blocks, size)
-    number, corners = found.number, 2**dim
-    own = np.diff(np.linspace(0, found.count, comm.size + 1).astype(np.int64))[comm.rank]
-    here, place = np.unique(number[number >= 0], return_inverse=True)
-    of_hats = Shared(comm, int(own), found.count, here)
-    touches = np.zeros(len(here))
-    np.maximum.at(touches, place, np.broadcast_to(wall[:, None], number.shape)[number >= 0])
-    is_near = np.zeros(number.shape, dtype=bool)
-    is_near[number >= 0] = (of_hats.largest(touches) > 0.0)[place]
-    label = _labels(blocks, nodes, np.where(is_near, number, -1))
-    least, most = np.full(len(here), -np.inf), np.full(len(here), -np.inf)
-    near = is_near[number >= 0]
-    np.maximum.at(most, place[near], label[is_near])
-    np.maximum.at(least, place[near], -label[is_near])
-    is_cut = np.zeros(number.shape, dtype=bool)
-    is_cut[number >= 0] = (of_hats.largest(most) != -of_hats.largest(least))[place] & near
-    of_hats.destroy()
-
-    mine = np.arange(len(number)) < block.owned
+    mine, corners = np.arange(len(block.points)) < block.owned, 2**dim
     entry = block.node_global[:, None] * corners + np.arange(corners)
-    is_root = is_cut & mine[:, None] & (label == entry)
-    parts = np.array(comm.allgather(int(is_root.sum())))
-    sizes = dim * parts + np.array(comm.allgather(layout.flow_count))
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    first = np.full(number.shape, -1.0)
-    first[is_root] = starts[comm.rank] + dim * np.arange(parts[comm.rank])
-    chosen = is_cut & mine[:, None] & (block.body < 0)[:, None]
-    roots, which = np.unique(label[chosen].astype(np.int64), return_inverse=True)
-    of_entries = Shared(comm, block.owned * corners, blocks.sizes.nodes * corners, roots)
-    column = of_entries.of_owners(first[: block.owned].ravel()).astype(np.int64)[which]
-    of_entries.destroy()
+    grids = []
+    for size in sizes:
+        found = hats(blocks, size)
+        grids.append((_parts(blocks, nodes, wall, found, only_cut=size < sizes[-1]), found.value))
+    is_root = [(label == entry) & mine[:, None] for label, _ in grids]
+    before = np.cumsum([0, *(int(root.sum()) for root in is_root)])
+    counts = dim * np.array(comm.allgather(int(before[-1]))) + np.array(comm.allgather(layout.flow_count))
+    starts = np.concatenate([[0], np.cumsum(counts)])
 
+    first_own, last_own = block.unknown_starts[comm.rank : comm.rank + 2]
+    is_moved = np.zeros(block.unknown.shape, dtype=bool)  # tied nodes share an unknown: it has the value of the first
+    own = np.flatnonzero((block.unknown >= first_own) & (block.unknown < last_own))
+    is_moved.flat[own[np.unique(block.unknown.flat[own], return_index=True)[1]]] = True
     rows_here = layout.solid_count + layout.flow_count, layout.total
-    result = create_matrix((rows_here, (int(sizes[comm.rank]), int(starts[-1]))), corners, comm)
-    node, corner = np.nonzero(chosen)
-    rows = layout.solid_numbers(block.unknown[node]).reshape(-1, 1)
-    cols = (column[:, None] + np.arange(dim)).reshape(-1, 1)
-    values = np.repeat(found.value[node, corner], dim)
-    values[np.isin(rows[:, 0], held)] = 0.0
-    add_blocks(result, rows, cols, values.reshape(-1, 1, 1))
+    result = create_matrix((rows_here, (int(counts[comm.rank]), int(starts[-1]))), corners * len(grids), comm)
+    for (label, value), root, earlier in zip(grids, is_root, before[:-1], strict=True):
+        first = np.full(root.shape, -1.0)
+        first[root] = starts[comm.rank] + dim * (earlier + np.arange(root.sum()))
+        node, corner = np.nonzero((label >= 0.0) & is_moved.any(axis=1)[:, None])
+        roots, which = np.unique(label[node, corner].astype(np.int64), return_inverse=True)
+        of_entries = Shared(comm, block.owned * corners, blocks.sizes.nodes * corners, roots)
+        column = of_entries.of_owners(first[: block.owned].ravel()).astype(np.int64)[which]
+        of_entries.destroy()
+        moved = is_moved[node]
+        rows = layout.solid_numbers(block.unknown[node][moved])
+        values = np.where(np.isin(rows, held), 0.0, np.broadcast_to(value[node, corner][:, None], moved.shape)[moved])
+        cols = (column[:, None] + np.arange(dim))[moved]
+        add_blocks(result, rows[:, None], cols[:, None], values.reshape(-1, 1, 1))
     pressure = np.arange(layout.flow_count)
-    rows, cols = layout.start + layout.solid_count + pressure, starts[comm.rank] + dim * parts[comm.rank] + pressure
+    rows, cols = layout.start + layout.solid_count + pressure, starts[comm.rank] + dim * before[-1] + pressure
     add_blocks(result, rows[:, None], cols[:, None], np.ones((len(rows), 1, 1)))
     result.assemble()
     return result
+
+
+def _parts(blocks: Blocks, nodes: Shared, wall: Bools, found: Hats, only_cut: bool) -> Floats:
+    """Of each hat at each node (n, 2^dim), the first entry of the part that the node is in; -1 for none. Collective.
+
+    only_cut  leave out hats that no fracture parts
+
+    Entries are counted by node in PETSc's order, then by corner. Hats that touch no fracture have one part.
+    """
+    comm, number, is_used = blocks.comm, found.number, found.number >= 0
+    slots = min(found.count, number.shape[1] * blocks.sizes.nodes)  # hats that share one are at most taken for cut
+    own = np.diff(np.linspace(0, slots, comm.size + 1).astype(np.int64))[comm.rank]
+    here, place = np.unique(number[is_used], return_inverse=True)
+    of_hats = Shared(comm, int(own), slots, here % slots)
+
+    def largest(values: Floats) -> Floats:
+        result = np.full(len(here), -np.inf)
+        np.maximum.at(result, place, values)
+        return of_hats.largest(result)[place]
+
+    is_near, label = np.zeros(number.shape, dtype=bool), np.full(number.shape, -1.0)
+    is_near[is_used] = largest(np.broadcast_to(wall[:, None], number.shape)[is_used].astype(float)) > 0.0
+    connected = _labels(blocks, nodes, np.where(is_near, number, -1))
+    least, most = -largest(-connected[is_used]), largest(connected[is_used])
+    of_hats.destroy()
+    if only_cut:
+        label[is_used] = np.where(is_near[is_used] & (least != most), connected[is_used], -1.0)
+    else:
+        label[is_used] = np.where(is_near[is_used], connected[is_used], least)
+    return label
 
 
 def _labels(blocks: Blocks, nodes: Shared, number: Ints) -> Floats:

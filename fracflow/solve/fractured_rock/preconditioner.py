@@ -16,24 +16,29 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
-from fracflow.model.layout import Layout, local_rows
-from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps
+from fracflow.model.layout import Layout
+from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
 from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
-COARSE = 5.0  # mean joints in a cell of the coarse grid
+COARSE = 10.0  # joints, or nodes, along a cell of the coarse grid
 SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
 
 
 class Filled(Protocol):
-    """A matrix of all unknowns that is filled again and again; ``alphas`` differ where more than the joints does."""
+    """A matrix of all unknowns that is filled again and again.
+
+    matrix  as the joints are now
+    stands  without what depends on them; on its pattern
+    """
 
     matrix: PETSc.Mat
+    stands: PETSc.Mat
 
     @property
     def alphas(self) -> Any:
-        """Those of the last filling."""
+        """Those of the last filling: its rock is the same where they are."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts
     is_wall = wall >= 0.0
     parts = Parts(
         intact(blocks, layout, wall),
-        coarse_jumps(blocks, layout, nodes, is_wall, COARSE * length, held),
+        coarse_jumps(blocks, layout, nodes, is_wall, grid_sizes(blocks, is_wall, length, COARSE), held),
         strips(blocks, layout, grown(blocks, nodes, is_wall, LAYERS)),
     )
     nodes.destroy()
@@ -81,28 +86,49 @@ class FracturedRock:
             self.solvers[part] = PETSc.KSP().create(comm=filled.matrix.getComm())
             self.solvers[part].setOptionsPrefix(f"{prefix}_{part}_")
             self.solvers[part].setFromOptions()
+        self.stands: dict[str, PETSc.Mat] = {}
+        self.beside: PETSc.Mat | None = None
+        self.joints: PETSc.Mat | None = None
+        self.change: PETSc.Mat | None = None
         self.near: PETSc.Scatter | None = None
         self._alphas: Any = None
+        self._state = -1  # of what stands, when its small systems were made
 
     def setUp(self, _: PETSc.PC) -> None:
         """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
-        whole, parts, systems = self.filled.matrix, self.parts, self.systems
+        whole, parts, systems, stands = self.filled.matrix, self.parts, self.systems, self.stands
         if "intact" not in systems or self._alphas != self.filled.alphas:
             self._alphas = self.filled.alphas
-            systems["intact"] = whole.PtAP(parts.intact, systems.get("intact"))
+            systems["intact"] = self.filled.stands.PtAP(parts.intact, systems.get("intact"))
             _fill_empty(systems["intact"])
             systems["intact"].setBlockSize(self.node)
             self.solvers["intact"].setOperators(systems["intact"])
-        systems["jumps"] = whole.PtAP(parts.jumps, systems.get("jumps"))
-        _fill_empty(systems["jumps"])
-        _shift(systems["jumps"])
+        if self._state != (state := self.filled.stands.stateGet()):
+            self._state = state
+            stands["jumps"] = self.filled.stands.PtAP(parts.jumps, stands.get("jumps"))
+            stands["strips"] = self.filled.stands.createSubMatrix(parts.strips, parts.strips, stands.get("strips"))
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
+        self._add_joints()
         for part in ("jumps", "strips"):
             self.solvers[part].setOperators(systems[part])
         for part, system in systems.items():
             self.vectors.setdefault(part, system.createVecs())
         if self.near is None:
             self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
+
+    def _add_joints(self) -> None:
+        """W' A W = W' A_0 W + W_s' (A - A_0)_s W_s: what depends on joints lies within the strips. Collective."""
+        systems, stands = self.systems, self.stands
+        if self.beside is None:
+            self.beside, self.joints = _rows_of(self.parts.jumps, self.parts.strips), systems["strips"].duplicate()
+            systems["jumps"] = stands["jumps"].duplicate()
+        systems["strips"].copy(self.joints, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.joints.axpy(-1.0, stands["strips"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.change = self.joints.PtAP(self.beside, self.change)
+        stands["jumps"].copy(systems["jumps"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        _fill_empty(systems["jumps"])
+        _shift(systems["jumps"])
 
     def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
         """Correct by the intact rock, by coarse jumps, and by the strips. Collective."""
@@ -124,6 +150,7 @@ class FracturedRock:
     def destroy(self, _: PETSc.PC) -> None:
         """Free all. Collective."""
         destroy(self.parts.intact, self.parts.jumps, self.parts.strips, self.left, self.near)
+        destroy(self.beside, self.joints, self.change, *self.stands.values())
         destroy(*self.solvers.values(), *self.systems.values(), *(v for pair in self.vectors.values() for v in pair))
 
 
@@ -135,16 +162,26 @@ def _shift(system: PETSc.Mat) -> None:
     diagonal.destroy()
 
 
+def _rows_of(moved: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
+    """Some rows of a matrix, with all its columns. Collective."""
+    first, last = moved.getOwnershipRangeColumn()
+    cols = PETSc.IS().createStride(last - first, first, 1, comm=moved.getComm())
+    result = moved.createSubMatrix(rows, cols)
+    cols.destroy()
+    return result
+
+
 def _fill_empty(system: PETSc.Mat) -> None:
     """Put 1 on the diagonal of empty rows. Collective.
 
     They belong to displacements of held unknowns, and to levels of pressure that no jump of the coarse grid sets.
     """
-    rows, start = local_rows(system), system.getOwnershipRange()[0]
-    size = np.zeros(system.getLocalSize()[0])
-    np.maximum.at(size, rows.rows, np.abs(rows.values))
+    indptr, _, values = system.getValuesCSR()
+    size, has = np.zeros(len(indptr) - 1), np.diff(indptr) > 0
+    size[has] = np.maximum.reduceat(np.abs(values), indptr[:-1][has]) if has.any() else 0.0
     system.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     round_off = 10.0 * np.finfo(float).eps * system.getComm().tompi4py().allreduce(size.max(initial=0.0), op=MPI.MAX)
+    start = system.getOwnershipRange()[0]
     for number in start + np.flatnonzero(size <= round_off):
         system.setValue(int(number), int(number), 1.0)
     system.assemble()
