@@ -122,7 +122,7 @@ class Method(StepperKeys):
     where options are given to it, and where the direct solve does not converge"""
     rock_solver: Literal["auto", "direct", "multigrid"] = "auto"
     """how the rock of a coupled step is solved: by a factorisation; or by multigrid with strips along the fractures, whose
-    iterations do not grow as joints slide or open. auto takes the faster one by an estimate: multigrid from 1.2 million
+    iterations do not grow as joints slide or open. Auto takes the faster one by an estimate: multigrid from half a million
     displacements on, and where factors would not fit into memory"""
     fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = "plain"
     """how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson, or with

@@ -148,6 +148,10 @@ class System(Protocol):
         """The matrix."""
 
     @property
+    def stands(self) -> PETSc.Mat:
+        """It without what depends on the joints, on its pattern."""
+
+    @property
     def operators(self) -> Operators:
         """Those it is made of."""
 

@@ -22,6 +22,7 @@ import sliding
 from _stopwatch import Stopwatch
 from size import machine
 
+WAYS = ("lu", "multigrid")
 OFF, LEAST = 1.5, 1e4
 """Bar, and unknowns from which on times are judged: below, parts that do not grow count."""
 SOLVE, BESIDES = "linear solves", ["solve.problem:StepProblem.evaluate", "solve.jacobian:JoinedMatrix.fill"]
@@ -52,7 +53,7 @@ def in_plane(cells: int, steps: int, folder: Path) -> dict[str, Any]:
     from fracflow.mesh.store import load_mesh
 
     scene, found = sliding.network_scene(cells, steps, folder), {"dim": 2}
-    for way in sliding.WAYS:
+    for way in WAYS:
         result, out = folder / f"{way}.json", folder / f"run-{way}"
         words = [sys.executable, __file__, "--worker", way, str(scene), str(out), str(result)]
         subprocess.run(words, check=True, stdin=subprocess.DEVNULL, capture_output=True)
@@ -66,9 +67,9 @@ def in_plane(cells: int, steps: int, folder: Path) -> dict[str, Any]:
 def in_space(unknowns: int, folder: Path) -> dict[str, Any]:
     """Sliding planes with so many unknowns, by both."""
     program = Path(__file__).with_name("sliding_3d.py")
-    words = [sys.executable, str(program), str(unknowns), "--solve", *sliding.WAYS, "--out", str(folder / "space")]
+    words = [sys.executable, str(program), str(unknowns), "--solve", *WAYS, "--out", str(folder / "space")]
     facts = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
-    seconds = {f"{way}_s": facts[way]["set_up_cpu_s"] + facts[way]["solve_cpu_s"] for way in sliding.WAYS}
+    seconds = {f"{way}_s": facts[way]["set_up_cpu_s"] + facts[way]["solve_cpu_s"] for way in WAYS}
     return {"dim": 3, "unknowns": facts["unknowns"], "krylov": facts["multigrid"]["krylov"], **seconds}
 
 

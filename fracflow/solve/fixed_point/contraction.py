@@ -34,9 +34,10 @@ FARTHEST = 1e9
 
 @dataclass(frozen=True)
 class RockBlock:
-    """J_uu as a matrix of its own, with its unknowns and the numbers of those that are held (n,)."""
+    """J_uu as a matrix of its own, what stands of it without the joints, its unknowns, and numbers of those held (n,)."""
 
     matrix: PETSc.Mat
+    stands: PETSc.Mat
     operators: Operators
     layout: Layout
     fixed: Ints
@@ -49,7 +50,10 @@ class RockBlock:
         starts = layout.solid_starts + layout.flow_starts
         rank = owner_of(starts, whole.fixed)
         numbers = whole.fixed - layout.flow_starts[rank]
-        return cls(block, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas)
+        solid, flow = layout.index_sets()
+        stands = whole.stands.createSubMatrix(solid, solid)
+        destroy(solid, flow)
+        return cls(block, stands, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas)
 
 
 class Cycle:
@@ -63,7 +67,8 @@ class Cycle:
         splits = matrix.layout.index_sets()
         self.blocks = [[matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
         self.solid = solver_of(self.blocks[0][0], "solid_")
-        set_up(self.solid, RockBlock.of(matrix, self.blocks[0][0]))
+        self.rock = RockBlock.of(matrix, self.blocks[0][0])
+        set_up(self.solid, self.rock)
         self.wall, self.force = self.blocks[0][0].createVecs()
         self.held = np.isin(matrix.layout.start + matrix.layout.solid_count + _here(self.blocks[1][1]), matrix.fixed)
         destroy(*splits)
@@ -117,7 +122,7 @@ class Cycle:
         """Free matrices and solver. Collective."""
         if self.solid.getPC().getType() == "python":
             self.solid.getPC().setType("none")
-        destroy(self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1])
+        destroy(self.solid, self.rock.stands, self.wall, self.force, *self.blocks[0], *self.blocks[1])
 
 
 @dataclass(frozen=True)
