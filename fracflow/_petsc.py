@@ -82,7 +82,8 @@ except ImportError as error:
     ) from error
 
 
-Given, Result = ParamSpec("Given"), TypeVar("Result")
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 def booked(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:

@@ -141,15 +141,10 @@ def _mumps_code(solver: PETSc.KSP) -> int:
 
 
 class System(Protocol):
-    """A matrix that is filled again and again, with its unknowns; held ones are ``fixed`` (n,)."""
+    """A matrix that is filled again and again, with its unknowns; ``stands`` is it without what depends on the joints."""
 
-    @property
-    def matrix(self) -> PETSc.Mat:
-        """The matrix."""
-
-    @property
-    def stands(self) -> PETSc.Mat:
-        """It without what depends on the joints, on its pattern."""
+    matrix: PETSc.Mat
+    stands: PETSc.Mat
 
     @property
     def operators(self) -> Operators:

@@ -1,8 +1,8 @@
 """S11: how many iterations GMRES takes for rock whose fractures slide, by multigrid of two kinds.
 
-Ten fractures apart, whose sections slide from the start of each to a share of its length, and stick beyond. Predicted: multigrid
-with strips and coarse displacements (``method.rock_solver``) takes the iterations of rock without fractures, at any size, however
-weak joints are and however long a time step is. BoomerAMG on the rock with its joints serves as long as they stick.
+Ten fractures apart, whose sections slide from the start of each to a share of its length, and stick beyond. Predicted:
+multigrid with strips and coarse displacements (``method.rock_solver``) takes the iterations of rock without fractures, at any
+size, however weak joints are and however long a time step is. BoomerAMG on the rock with its joints serves while they stick.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ NEAR = 0.02  # of 1, where the limit of the time step is searched
 FARTHEST = 1e9
 
 
-@dataclass(frozen=True)
+@dataclass
 class RockBlock:
     """J_uu as a matrix of its own, what stands of it without the joints, its unknowns, and numbers of those held (n,)."""
 
