@@ -42,22 +42,23 @@ class KrylovTest:
     def __init__(self) -> None:
         """Nothing seen yet."""
         self._norms: list[float] = []
+        self._given = 0.0
 
     def __call__(self, solver: PETSc.KSP, iteration: int, norm: float) -> PETSc.KSP.ConvergedReason | None:
         """The reason to stop after an iteration with this residual; None to go on."""
         reasons, (relative, absolute, divergence, most) = PETSc.KSP.ConvergedReason, solver.getTolerances()
-        if iteration == 0:
-            self._norms = []
+        if iteration == 0:  # a first guess may leave far less than the right side, whose round-off it has, or far more
+            is_plain = solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED
+            self._norms, self._given = [], solver.getRhs().norm() if is_plain else norm
         self._norms.append(norm)
         first = self._norms[0]
         if norm != norm or norm > divergence * first:
             return reasons.DIVERGED_NANORINF if norm != norm else reasons.DIVERGED_DTOL
         if norm <= absolute:
             return reasons.CONVERGED_ATOL
-        stands = (
-            iteration >= STANDS and norm <= SOLVE_ROUND_OFF * first and norm > 0.5 * self._norms[iteration - STANDS]
-        )
-        if norm <= relative * first or stands:
+        is_small = norm <= SOLVE_ROUND_OFF * max(first, self._given)
+        stands = iteration >= STANDS and is_small and norm > 0.5 * self._norms[iteration - STANDS]
+        if norm <= relative * min(first, self._given) or stands:
             return reasons.CONVERGED_RTOL
         return reasons.DIVERGED_MAX_IT if iteration >= most else None
 

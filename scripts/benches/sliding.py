@@ -1,10 +1,10 @@
-"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--unknowns N...] [--normal K...] [--shear K...] [--out DIR].
+"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--unknowns N...] [--rows N...] [--out DIR].
 
 A network of 20 fractures (that of scripts/bench size), stressed so that hundreds of sections slide and some open as it is
 pumped, with so many triangles each, by LU of the whole and by multigrid: Newton and Krylov iterations, and the CPU seconds and
-memory of a run in a process of its own. Then one coupled step of ten fractures, for each pair of normal and shear stiffness:
-Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov iterations a Newton iteration,
-sections that slide as by LU, and no step halved that LU does not halve.
+memory of a run in a process of its own. Then one coupled step of 1 to 200 closed fractures, in rows of stiffnesses, apertures,
+their contrast and time steps: Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov
+iterations a Newton iteration, sections that slide as by LU, and no step halved that LU does not halve.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import shlex
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,6 @@ WAYS = {
 MOST = 30.0
 """Krylov iterations in a Newton iteration, the mean of a step; in one step with nothing but elastic joints, of a solve."""
 COUNTS = ("newton", "krylov", "slipping", "open", "factorisations")
-NORMAL, SHEAR = (1e7, 1e11, 1e15), (1e11, 1e4)
 
 
 def network_scene(cells: int, steps: int, folder: Path) -> Path:
@@ -102,29 +101,93 @@ def run_network(cells: int, steps: int, ways: tuple[str, ...], folder: Path, pat
     return found
 
 
-def step_scene(unknowns: int, normal: float, shear: float) -> dict[str, Any]:
-    """Ten fractures that lie apart in a square of rock, each turned another way, with a well at its start."""
+@dataclass(frozen=True)
+class Row:
+    """One step of fractures that lie apart, each with a well, which is closed to all else: stiffnesses [Pa/m], lengths [m]."""
+
+    unknowns: int
+    fractures: int = 10
+    normal: float = 1e11
+    shear: float = 1e11
+    time_step: float = 1.0
+    aperture: float = 1e-3
+    contrast: float = 1.0
+    """Of the widest to the narrowest aperture."""
+
+
+def rows_of(unknowns: int) -> list[Row]:
+    """All rows with so many unknowns: stiffnesses, apertures, contrasts, time steps, numbers of fractures."""
+    row = Row(unknowns)
+    stiff = [
+        (1e7, 1e6),
+        (1e7, 1e4),
+        (1e9, 1e9),
+        (1e11, 1e4),
+        (1e12, 1e6),
+        (1e13, 1e13),
+        (1e13, 1e6),
+        (1e15, 1e15),
+        (1e15, 1e8),
+    ]
+    return [
+        *(replace(row, normal=normal, shear=shear) for normal, shear in stiff),
+        *(replace(row, aperture=aperture) for aperture in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)),
+        *(replace(row, contrast=contrast) for contrast in (1e2, 1e4, 1e6)),
+        *(replace(row, fractures=n, time_step=dt) for n in (1, 10, 100, 200) for dt in (1e-3, 1.0, 1e3, 1e6, 1e9)),
+        replace(row, fractures=100, shear=1e6),
+    ]
+
+
+def step_scene(row: Row) -> dict[str, Any]:
+    """Fractures that lie apart in a square of rock, each turned another way, with a well at its start."""
     scene, extent, random = (
-        coupling.scene_of(unknowns, "buried", drained=False),
+        coupling.scene_of(row.unknowns, "buried", drained=False),
         coupling.EXTENT,
         np.random.default_rng(1),
     )
-    wide, fractures = extent / 4.0, []
-    for number in range(10):
-        middle = (np.array(divmod(number, 4)) + 0.5) * wide
+    fractures = []
+    for number in range(row.fractures):
+        middle = (np.array(divmod(number, beside(row))) + 0.5) * extent / beside(row)
         angle = random.uniform(0.0, np.pi)
-        half = 0.42 * wide * np.array([np.cos(angle), np.sin(angle)])
+        half = 0.5 * long(row) * np.array([np.cos(angle), np.sin(angle)])
         fractures.append({"name": f"f{number}", "points": [(middle - half).tolist(), (middle + half).tolist()]})
-    size = extent / (unknowns / 2) ** 0.5 * 1.07
+    size = extent / (row.unknowns / 2) ** 0.5 * 1.07
     scene["geometry"] |= {"size": size, "cells": "triangles", "fracture": fractures}
     law = scene["fracture"].pop("fault")
-    scene["fracture"]["default"] = law | {"normal_stiffness": normal, "shear_stiffness": shear}
+    scene["fracture"]["default"] = law | {"normal_stiffness": row.normal, "shear_stiffness": row.shear}
     names = [each["name"] for each in fractures]
     scene["well"] = [{"name": f"in {n}", "at": {"fracture": n, "end": "start"}, "flow_rate": 0.0} for n in names]
     return scene
 
 
-def one_step(unknowns: int, normal: float, shear: float, ways: tuple[str, ...]) -> list[dict[str, Any]]:
+def beside(row: Row) -> int:
+    """Fractures along a side of the square."""
+    return int(np.ceil(row.fractures**0.5))
+
+
+def long(row: Row) -> float:
+    """Length of a fracture [m]."""
+    return 0.84 * coupling.EXTENT / beside(row)
+
+
+def apertures_of(operators: Any, row: Row) -> Any:
+    """Initial apertures of the fractures, which differ by the contrast, in the shape of the flow's [m]."""
+    joints, shape = operators.blocks.joints, operators.flow.aperture.shape
+    of_fracture = row.aperture * row.contrast ** np.random.default_rng(3).uniform(-0.5, 0.5, len(joints.fractures))
+    return np.broadcast_to(of_fracture[joints.fracture].reshape(-1, *[1] * (len(shape) - 1)), shape).copy()
+
+
+def rate_of(row: Row, a1: float) -> float:
+    """Rate of a well that opens its fracture by a tenth of its aperture, or by 1 MPa, as far as pressure comes in the step."""
+    pressure = min(0.1 * row.normal * row.aperture, 1e6)
+    conducts = row.aperture**3 / (12 * coupling.VISCOSITY)
+    reach = max(np.sqrt(conducts * row.normal / a1), 2.0)
+    if reach >= long(row):  # all of the fracture fills: more would part its walls by metres
+        return float(pressure * a1 * long(row) / row.normal)
+    return float(pressure * (conducts / reach + a1 * reach / row.normal))
+
+
+def one_step(row: Row, ways: tuple[str, ...]) -> list[dict[str, Any]]:
     """Krylov iterations of one quasi-static step in several ways, on one rank."""
     from fracflow._petsc import MPI
     from fracflow.advance.initial_state import equilibrium_state
@@ -137,25 +200,25 @@ def one_step(unknowns: int, normal: float, shear: float, ways: tuple[str, ...]) 
     from fracflow.solve.problem import StepProblem
     from fracflow.solve.request import StepRequest, StepRule
 
-    model = prepare(Scene.from_data(step_scene(unknowns, normal, shear)), MPI.COMM_SELF)
+    model = prepare(Scene.from_data(step_scene(row)), MPI.COMM_SELF)
     state, ops, found = equilibrium_state(model), model.operators, []
-    rule, aperture = StepRule(BackwardEuler().alphas(1.0)), 1e-3
-    pressure = min(0.1 * normal * aperture, 1e6)
-    reach = np.clip(np.sqrt(aperture**3 * normal / (12 * coupling.VISCOSITY * rule.alphas.a1)), 2.0, 300.0)
-    rate = pressure * (aperture**3 / (12 * coupling.VISCOSITY * reach) + rule.alphas.a1 * reach / normal)
+    film, rule = apertures_of(ops, row), StepRule(BackwardEuler().alphas(row.time_step))
+    flow = replace(ops.flow, aperture=film, law=replace(ops.flow.law, aperture=film))
     for way in ways:
         options.set_defaults(model.scene.petsc, rock_solver="multigrid" if way == "multigrid" else "direct")
         solver = (WholeLU if way == "lu" else Monolithic)(model.scene, ops, model.loads)
         solves = coupling.watch(solver.newton)
-        problem = StepProblem(replace(ops), state, StepRequest(1.0, 1.0, {}, model.loads), rule)
+        problem = StepProblem(
+            replace(ops, flow=flow), state, StepRequest(row.time_step, row.time_step, {}, model.loads), rule
+        )
         for well in model.loads.wells:
-            problem.source.axpy(rate, well.vector)
+            problem.source.axpy(rate_of(row, rule.alphas.a1), well.vector)
         start, failure = time.process_time(), ""
         try:
             solver.solve(problem)
         except SolveError as error:
             failure = str(error)
-        facts = {"unknowns": ops.layout.total, "normal": normal, "shear": shear, "way": way, "newton": len(solves)}
+        facts = {**asdict(row), "unknowns": ops.layout.total, "way": way, "newton": len(solves)}
         facts["krylov"] = max((count for count, _ in solves), default=0)
         facts |= {"cpu_s": round(time.process_time() - start, 2), "failure": failure}
         print(json.dumps(facts), flush=True)
@@ -195,9 +258,8 @@ def main() -> int:
     )
     parser.add_argument("--steps", type=int, default=5)
     parser.add_argument("--ways", nargs="*", choices=WAYS, default=["lu", "multigrid"])
-    parser.add_argument("--unknowns", nargs="*", type=int, default=[10_000, 40_000])
-    parser.add_argument("--normal", nargs="*", type=float, default=list(NORMAL), help="normal stiffnesses [Pa/m]")
-    parser.add_argument("--shear", nargs="*", type=float, default=list(SHEAR), help="shear stiffnesses [Pa/m]")
+    parser.add_argument("--unknowns", nargs="*", type=int, default=[10_000, 40_000], help="of the rows")
+    parser.add_argument("--rows", nargs="*", type=int, help="numbers of rows, 0 the first; all if left out")
     parser.add_argument("--patience", type=float, default=1800.0, help="seconds of one run")
     parser.add_argument("--out", type=Path, default=Path("runs/bench/sliding"))
     given = parser.parse_args()
@@ -207,13 +269,8 @@ def main() -> int:
     facts["network"] = [
         row for cells in given.cells if cells for row in run_network(cells, given.steps, ways, folder, given.patience)
     ]
-    facts["step"] = [
-        row
-        for n in given.unknowns
-        for normal in given.normal
-        for shear in given.shear
-        for row in one_step(n, normal, shear, tuple(way for way in ways if way != "staggered"))
-    ]
+    rows = [row for n in given.unknowns for i, row in enumerate(rows_of(n)) if given.rows is None or i in given.rows]
+    facts["step"] = [found for row in rows for found in one_step(row, [w for w in ways if w != "staggered"])]
     facts["missed"] = missed(facts["network"], facts["step"])
     (folder / "sliding.json").write_text(json.dumps(facts, indent=1), encoding="utf-8")
     print("\n".join(facts["missed"]) or f"all within the bars: {folder / 'sliding.json'}")

@@ -15,10 +15,10 @@ from itertools import product
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.graph import components
-from fracflow.model.layout import Layout, add_blocks, create_matrix
+from fracflow.model.layout import Layout, create_matrix
 from fracflow.solve.fractured_rock.shared import Shared
 
 
@@ -80,57 +80,68 @@ def grid_sizes(blocks: Blocks, wall: Bools, length: float, nodes: float) -> list
 def coarse_jumps(
     blocks: Blocks, layout: Layout, nodes: Shared, wall: Bools, sizes: list[float], held: Ints
 ) -> PETSc.Mat:
-    """W: unknowns of a step from the parts of hats, ``dim`` components each, and from all pressures.
+    """W: unknowns of a step from the parts of hats, ``dim`` components each, and from pressures in the fractures between them.
 
     nodes  shares values of nodes; wall (n,) local nodes that are walls; sizes of the grids' cells [length], the last for all
     rock, others for what fractures cut; held  numbers of unknowns that no part moves
 
-    The caller destroys W. Collective.
+    Each part of a hat but the first has a pressure, on the joints between it and parts before it. So no pressure is without an
+    opening that it acts on, and a stiffness. The caller destroys W. Collective.
     """
-    block, dim, comm = blocks.solid, blocks.sizes.dim, blocks.comm
-    mine, corners = np.arange(len(block.points)) < block.owned, 2**dim
+    block, joints, dim, comm = blocks.solid, blocks.joints, blocks.sizes.dim, blocks.comm
+    corners, has_flow = 2**dim, int(layout.flow_starts[-1]) > 0
     entry = block.node_global[:, None] * corners + np.arange(corners)
-    grids = []
+    is_mine = (np.arange(len(block.points)) < block.owned)[:, None]
+    grids, widths = [], []
     for size in sizes:
         found = hats(blocks, size)
-        grids.append((_parts(blocks, nodes, wall, found, only_cut=size < sizes[-1]), found.value))
-    is_root = [(label == entry) & mine[:, None] for label, _ in grids]
-    before = np.cumsum([0, *(int(root.sum()) for root in is_root)])
-    counts = dim * np.array(comm.allgather(int(before[-1]))) + np.array(comm.allgather(layout.flow_count))
+        label, least = _parts(blocks, nodes, wall, found, only_cut=size < sizes[-1])
+        grids.append((label, found.value))
+        widths.append(np.where((label == entry) & is_mine, dim + (has_flow & (label > least)), 0))
+    before = np.cumsum([0, *(int(width.sum()) for width in widths)])
+    counts = np.array(comm.allgather(int(before[-1])))
     starts = np.concatenate([[0], np.cumsum(counts)])
 
-    first_own, last_own = block.unknown_starts[comm.rank : comm.rank + 2]
+    own = np.flatnonzero(owner_of(block.unknown_starts, block.unknown) == comm.rank)
     is_moved = np.zeros(block.unknown.shape, dtype=bool)  # tied nodes share an unknown: it has the value of the first
-    own = np.flatnonzero((block.unknown >= first_own) & (block.unknown < last_own))
     is_moved.flat[own[np.unique(block.unknown.flat[own], return_index=True)[1]]] = True
     rows_here = layout.solid_count + layout.flow_count, layout.total
     result = create_matrix((rows_here, (int(counts[comm.rank]), int(starts[-1]))), corners * len(grids), comm)
-    for (label, value), root, earlier in zip(grids, is_root, before[:-1], strict=True):
-        first = np.full(root.shape, -1.0)
-        first[root] = starts[comm.rank] + dim * (earlier + np.arange(root.sum()))
-        node, corner = np.nonzero((label >= 0.0) & is_moved.any(axis=1)[:, None])
-        roots, which = np.unique(label[node, corner].astype(np.int64), return_inverse=True)
-        of_entries = Shared(comm, block.owned * corners, blocks.sizes.nodes * corners, roots)
-        column = of_entries.of_owners(first[: block.owned].ravel()).astype(np.int64)[which]
+
+    def place(rows: Ints, cols: Ints, values: Floats) -> None:
+        values = np.where(np.isin(rows, held), 0.0, values)
+        places = petsc_ints(rows[:, None]), petsc_ints(cols[:, None])
+        if len(rows):  # each joint says anew what its ends have
+            result.setValuesRCV(*places, values.reshape(-1, 1, 1), PETSc.InsertMode.INSERT)
+
+    for (label, value), width, earlier in zip(grids, widths, before[:-1], strict=True):
+        first = np.where(
+            width > 0, starts[comm.rank] + earlier + (np.cumsum(width) - width.ravel()).reshape(width.shape), -1
+        )
+        labels, which = np.unique(label[label >= 0.0].astype(np.int64), return_inverse=True)
+        of_entries = Shared(comm, block.owned * corners, blocks.sizes.nodes * corners, labels)
+        column = np.full(label.shape, -1)
+        column[label >= 0.0] = of_entries.of_owners(first[: block.owned].ravel().astype(float))[which]
         of_entries.destroy()
+        node, corner = np.nonzero(label >= 0.0)
         moved = is_moved[node]
-        rows = layout.solid_numbers(block.unknown[node][moved])
-        values = np.where(np.isin(rows, held), 0.0, np.broadcast_to(value[node, corner][:, None], moved.shape)[moved])
-        cols = (column[:, None] + np.arange(dim))[moved]
-        add_blocks(result, rows[:, None], cols[:, None], values.reshape(-1, 1, 1))
-    pressure = np.arange(layout.flow_count)
-    rows, cols = layout.start + layout.solid_count + pressure, starts[comm.rank] + dim * before[-1] + pressure
-    add_blocks(result, rows[:, None], cols[:, None], np.ones((len(rows), 1, 1)))
+        cols = (column[node, corner][:, None] + np.arange(dim))[moved]
+        values = np.broadcast_to(value[node, corner][:, None], moved.shape)[moved]
+        place(layout.solid_numbers(block.unknown[node][moved]), cols, values)
+        below, above = label[joints.bottom], label[joints.top]
+        parted = np.nonzero((below != above) & has_flow)
+        later = np.where(below > above, column[joints.bottom], column[joints.top])[parted]
+        place(layout.flow_numbers(joints.flow[parted[:2]]), later + dim, value[joints.bottom][parted])
     result.assemble()
     return result
 
 
-def _parts(blocks: Blocks, nodes: Shared, wall: Bools, found: Hats, only_cut: bool) -> Floats:
-    """Of each hat at each node (n, 2^dim), the first entry of the part that the node is in; -1 for none. Collective.
+def _parts(blocks: Blocks, nodes: Shared, wall: Bools, found: Hats, only_cut: bool) -> tuple[Floats, Floats]:
+    """Of each hat at each node (n, 2^dim), the first entry of the part that the node is in, and of all parts; -1 for none.
 
     only_cut  leave out hats that no fracture parts
 
-    Entries are counted by node in PETSc's order, then by corner. Hats that touch no fracture have one part.
+    Entries are counted by node in PETSc's order, then by corner. Hats that touch no fracture have one part. Collective.
     """
     comm, number, is_used = blocks.comm, found.number, found.number >= 0
     slots = min(found.count, number.shape[1] * blocks.sizes.nodes)  # hats that share one are at most taken for cut
@@ -143,16 +154,16 @@ def _parts(blocks: Blocks, nodes: Shared, wall: Bools, found: Hats, only_cut: bo
         np.maximum.at(result, place, values)
         return of_hats.largest(result)[place]
 
-    is_near, label = np.zeros(number.shape, dtype=bool), np.full(number.shape, -1.0)
+    is_near = np.zeros(number.shape, dtype=bool)
     is_near[is_used] = largest(np.broadcast_to(wall[:, None], number.shape)[is_used].astype(float)) > 0.0
     connected = _labels(blocks, nodes, np.where(is_near, number, -1))
-    least, most = -largest(-connected[is_used]), largest(connected[is_used])
+    label, least = np.full(number.shape, -1.0), np.full(number.shape, -1.0)
+    least[is_used], most = -largest(-connected[is_used]), largest(connected[is_used])
     of_hats.destroy()
+    label[is_used] = np.where(is_near, connected, least)[is_used]
     if only_cut:
-        label[is_used] = np.where(is_near[is_used] & (least != most), connected[is_used], -1.0)
-    else:
-        label[is_used] = np.where(is_near[is_used], connected[is_used], least)
-    return label
+        label[is_used] = np.where(is_near[is_used] & (least[is_used] != most), label[is_used], -1.0)
+    return label, least
 
 
 def _labels(blocks: Blocks, nodes: Shared, number: Ints) -> Floats:

@@ -1,9 +1,12 @@
 """A preconditioner of rock that slides and opens along fractures, of few iterations whatever the joints do.
 
 A displacement is one that the walls of a fracture share, and a jump across it. The shared one feels no joint: one cycle of
-multigrid solves for it, as in intact rock. Short jumps are solved for exactly in strips along the fractures, long ones on a
-coarse grid that the fractures cut; both with all pressures. Each part corrects what the one before has left (multiplicative
-Schwarz; Smith, Bjorstad and Gropp 1996). Only the two small systems change with the joints.
+multigrid solves for it, as in intact rock. Short jumps are solved for exactly in strips along the fractures, with all
+pressures, and long ones on a coarse grid that the fractures cut, with pressures as coarse. Each part corrects what the one
+before has left (multiplicative Schwarz; Smith, Bjorstad and Gropp 1996). Only the two small systems change with the joints.
+
+The strips come last, and leave nothing in their own rows. So from the second residual on all rows are of rock outside them,
+and of like size, however small or large the rows of the flow are.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ class Parts:
     """Parts of the unknowns of a step.
 
     intact  E: from displacements that walls share
-    jumps   W: from jumps of long wavelength and pressures
+    jumps   W: from displacements and pressures of long wavelength
     strips  unknowns near fractures
     """
 
@@ -122,10 +125,11 @@ class FracturedRock:
         if self.beside is None:
             self.beside, self.joints = _rows_of(self.parts.jumps, self.parts.strips), systems["strips"].duplicate()
             systems["jumps"] = stands["jumps"].duplicate()
+        assert self.joints is not None
         systems["strips"].copy(self.joints, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.joints.axpy(-1.0, stands["strips"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.change = self.joints.PtAP(self.beside, self.change)
-        stands["jumps"].copy(systems["jumps"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        stands["jumps"].copy(systems["jumps"])  # which has entries of empty rows beside
         systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         _fill_empty(systems["jumps"])
         _shift(systems["jumps"])
@@ -174,7 +178,7 @@ def _rows_of(moved: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
 def _fill_empty(system: PETSc.Mat) -> None:
     """Put 1 on the diagonal of empty rows. Collective.
 
-    They belong to displacements of held unknowns, and to levels of pressure that no jump of the coarse grid sets.
+    They belong to displacements of held unknowns, and to pressures between parts of a hat that meet in no joint.
     """
     indptr, _, values = system.getValuesCSR()
     size, has = np.zeros(len(indptr) - 1), np.diff(indptr) > 0
