@@ -270,7 +270,7 @@ def main() -> int:
         row for cells in given.cells if cells for row in run_network(cells, given.steps, ways, folder, given.patience)
     ]
     rows = [row for n in given.unknowns for i, row in enumerate(rows_of(n)) if given.rows is None or i in given.rows]
-    facts["step"] = [found for row in rows for found in one_step(row, [w for w in ways if w != "staggered"])]
+    facts["step"] = [found for row in rows for found in one_step(row, tuple(w for w in ways if w != "staggered"))]
     facts["missed"] = missed(facts["network"], facts["step"])
     (folder / "sliding.json").write_text(json.dumps(facts, indent=1), encoding="utf-8")
     print("\n".join(facts["missed"]) or f"all within the bars: {folder / 'sliding.json'}")
