@@ -53,7 +53,9 @@ class RockBlock:
         solid, flow = layout.index_sets()
         stands = whole.stands.createSubMatrix(solid, solid)
         destroy(solid, flow)
-        return cls(block, stands, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas)
+        return cls(
+            block, stands, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas
+        )
 
 
 class Cycle:
