@@ -8,10 +8,11 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from fracflow.errors import InputError
 
@@ -81,6 +82,28 @@ except ImportError as error:
     ) from error
 
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def booked(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
+    """Decorate a function whose time PETSc's ``-log_view`` shows as an event, and in a stage of the log if one is named."""
+    on, within = PETSc.Log.Event(event), PETSc.Log.Stage(stage) if stage else None
+
+    def decorate(work: Callable[Given, Result]) -> Callable[Given, Result]:
+        @wraps(work)
+        def done(*given: Given.args, **named: Given.kwargs) -> Result:
+            if within is None:
+                with on:
+                    return work(*given, **named)
+            with within, on:
+                return work(*given, **named)
+
+        return done
+
+    return decorate
+
+
 def destroy(*things: Any) -> None:
     """Free PETSc objects, and others that own some; None is passed over. Collective."""
     for thing in things:
@@ -88,4 +111,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir"]
+__all__ = ["MPI", "PETSc", "booked", "destroy", "find_petsc_dir"]

@@ -12,7 +12,8 @@ from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.solve import COUPLINGS, Coupling, Multigrid
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
-from fracflow.solve.options import is_meant, takes_multigrid
+from fracflow.solve.options import is_meant
+from fracflow.solve.rock_cost import memory_at_hand, takes_multigrid
 
 MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
@@ -27,7 +28,7 @@ class Couplings:
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
         self._damps = operators.damping is not None
-        ranks = operators.layout.comm.size
+        ranks, self._memory = operators.layout.comm.size, memory_at_hand(operators.layout.comm)
         self._planned = condensing(model.scene, self._unknowns, self._jumps, ranks, self._damps)
         self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
 
@@ -62,9 +63,9 @@ class Couplings:
     def _way(self) -> str:
         """Name of the coupling: the scene's, or the one that takes less time."""
         scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
-        if is_chosen(scene, unknowns, self._planned):
+        if is_chosen(scene, unknowns, self._planned, self._memory):
             return "condensed"
-        if name in ("auto", "monolithic") and takes_multigrid(scene.method.rock_solver, unknowns):
+        if name in ("auto", "monolithic") and takes_multigrid(scene.method.rock_solver, unknowns, memory=self._memory):
             return "multigrid"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"

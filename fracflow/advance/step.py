@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fracflow._petsc import destroy
+from fracflow._petsc import booked, destroy
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
@@ -179,6 +179,7 @@ class SingleStep:
     solvers: Stepping
     stepper: Stepper
 
+    @booked("FracStep")
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The state at the end of the step. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
         solvers, stepper, ops = self.solvers, self.stepper, self.solvers.model.operators

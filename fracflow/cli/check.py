@@ -20,11 +20,10 @@ from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
-from fracflow.solve.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
+from fracflow.solve.condensed_cost import BESIDES, ITERATIONS, break_even, fits
 from fracflow.solve.condensed_cost import planned as solved
+from fracflow.solve.rock_cost import NUMBER, direct, memory_at_hand, multigrid, takes_multigrid, without_solves
 
-PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number
-MATRICES = 150.0  # numbers an unknown in matrices and vectors
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
@@ -97,13 +96,12 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     explicit = explicit_cost(model)
     steps -= explicit.steps if explicit is not None else 0
     solves = steps > 0 or more
-    factors = ENTRIES * unknowns * math.log2(max(unknowns, 2)) if solves else 0.0
-    numbers = MATRICES * unknowns + factors
+    takes = takes_multigrid(model.scene.method.rock_solver, unknowns, memory=memory_at_hand(MPI.COMM_SELF))
+    memory = without_solves(unknowns) if not solves else (multigrid if takes else direct)(unknowns).bytes
     if model.scene.is_unbounded:
-        numbers = (
-            DENSE * float(int(model.operators.layout.solid_starts[-1]) - len(held_walls(model.operators.blocks))) ** 2
-        )
-    memory = PROGRAM + NUMBER * numbers
+        layout = model.operators.layout
+        moving = float(int(layout.solid_starts[-1]) - len(held_walls(model.operators.blocks)))
+        memory = without_solves(0) + NUMBER * DENSE * moving**2
     found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
         found["explicit steps"] = explicit.line

@@ -15,7 +15,7 @@ from fracflow.laws import FLOW_LAWS, FlowLaw, keys_of, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Walls, jump_matrix
-from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
+from fracflow.model.layout import add_blocks, add_transposed, create_matrix, create_vector, product
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, StepOfTerms, Term
 from fracflow.scene.scene import Scene
@@ -253,7 +253,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
     keys = ("aperture", "minimum_hydraulic_aperture")
     aperture, least = (along_fractures(blocks, scene, key, natural) for key in keys)
-    resting = PETSc.Vec().createMPI(node_layout, comm=comm)
+    resting = create_vector(node_layout, comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
         opening,

@@ -19,7 +19,7 @@ from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, para
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
+from fracflow.model.layout import add_blocks, add_transposed, create_matrix, matrix_of, product
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
@@ -66,7 +66,7 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
 def entry_sizes(matrix: PETSc.Mat) -> PETSc.Mat:
     """The absolute values of a matrix, entry by entry. The caller destroys it. Collective."""
     indptr, indices, values = matrix.getValuesCSR()
-    return PETSc.Mat().createAIJ(matrix.getSizes(), csr=(indptr, indices, np.abs(values)), comm=matrix.getComm())
+    return matrix_of(matrix.getSizes(), (indptr, indices, np.abs(values)), matrix.getComm())
 
 
 def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:

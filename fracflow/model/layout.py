@@ -57,15 +57,24 @@ class Layout:
 
     def solid_vector(self) -> PETSc.Vec:
         """A new displacement vector, zero. Collective."""
-        return PETSc.Vec().createMPI((self.solid_count, int(self.solid_starts[-1])), comm=self.comm)
+        return create_vector((self.solid_count, int(self.solid_starts[-1])), self.comm)
 
     def flow_vector(self) -> PETSc.Vec:
         """A new pressure vector, zero. Collective."""
-        return PETSc.Vec().createMPI((self.flow_count, int(self.flow_starts[-1])), comm=self.comm)
+        return create_vector((self.flow_count, int(self.flow_starts[-1])), self.comm)
 
     def joined_vector(self) -> PETSc.Vec:
         """A new vector of both, zero. Collective."""
-        return PETSc.Vec().createMPI((self.solid_count + self.flow_count, self.total), comm=self.comm)
+        return create_vector((self.solid_count + self.flow_count, self.total), self.comm)
+
+
+def create_vector(sizes: tuple[int, int], comm: MPI.Comm) -> PETSc.Vec:
+    """A vector of so many entries, here and in all, zero: spread over ranks, or as ``-vec_type`` says. Collective."""
+    vector = PETSc.Vec().create(comm=comm)
+    vector.setSizes(sizes)
+    vector.setType("mpi")
+    vector.setFromOptions()
+    return vector
 
 
 def layout_of(blocks: Blocks, with_flow: bool) -> Layout:
@@ -107,13 +116,33 @@ def local_rows(matrix: PETSc.Mat) -> Rows:
     return Rows(rows, indices.astype(np.int64), values)
 
 
-def create_matrix(
-    layout: tuple[tuple[int, int], tuple[int, int]], row_entries: int | Ints, comm: MPI.Comm
-) -> PETSc.Mat:
+Sizes = tuple[tuple[int, int], tuple[int, int]]
+"""Rows and columns of a matrix, of this rank and of all."""
+
+
+def create_matrix(layout: Sizes, row_entries: int | Ints, comm: MPI.Comm) -> PETSc.Mat:
     """An empty AIJ matrix with room for ``row_entries``, one or (rows,), on a row in each part; more may come. Collective."""
     entries = row_entries if isinstance(row_entries, int) else (petsc_ints(row_entries), petsc_ints(row_entries))
-    matrix = PETSc.Mat().createAIJ(layout, nnz=entries, comm=comm)
+    matrix = _of_type(layout, comm)
+    matrix.setPreallocationNNZ(entries)
     matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+    return matrix
+
+
+def matrix_of(layout: Sizes, csr: tuple[Ints, Ints, Floats], comm: MPI.Comm, node: int = 1) -> PETSc.Mat:
+    """AIJ of this rank's rows: starts (rows + 1,), columns (n,), values (n,); ``node`` unknowns a node. Collective."""
+    matrix = _of_type(layout, comm, node)
+    starts, columns, values = csr
+    matrix.setPreallocationCSR((petsc_ints(starts), petsc_ints(columns), values))
+    return matrix
+
+
+def _of_type(layout: Sizes, comm: MPI.Comm, node: int = 1) -> PETSc.Mat:
+    """A matrix without room as yet, AIJ or of the type of ``-mat_type``. Collective."""
+    matrix = PETSc.Mat().create(comm=comm)
+    matrix.setSizes(layout, bsize=node)
+    matrix.setType("aij")
+    matrix.setFromOptions()
     return matrix
 
 

@@ -13,6 +13,7 @@ from fracflow.errors import InputError
 from fracflow.integrators.explicit import critical_step
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import matrix_of
 from fracflow.model.operators import Operators
 from fracflow.model.solid import by_shape, deformable, elasticity, rock_values
 from fracflow.model.terms.term import MeanDamping
@@ -83,8 +84,7 @@ def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
     at = np.concatenate([alone, rows.ravel()]), np.concatenate([alone, cols.ravel()])
     kept = sparse.csr_matrix((values, at), shape=(len(diagonal), len(diagonal)))
     kept.eliminate_zeros()
-    csr = (kept.indptr.astype(PETSc.IntType), (kept.indices + start).astype(PETSc.IntType), kept.data)
-    return PETSc.Mat().createAIJ(matrix.getSizes(), csr=csr, comm=comm)
+    return matrix_of(matrix.getSizes(), (kept.indptr, kept.indices + start, kept.data), comm)
 
 
 def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping: Sequence[MeanDamping]) -> float:

@@ -11,7 +11,7 @@ from fracflow.elements import solid
 from fracflow.laws.elastic import STIFFNESS
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.layout import add_blocks, create_matrix, create_vector
 from fracflow.model.properties import body_force, initial_stress
 from fracflow.scene.scene import Scene
 
@@ -158,7 +158,7 @@ def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
 
 def nodal_force(blocks: Blocks, nodes: Ints, force: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
     """Forces (..., dim) at local nodes, summed and brought to the unknowns. The caller destroys it. Collective."""
-    vector = PETSc.Vec().createMPI(nodal_layout(blocks), comm=blocks.comm)
+    vector = create_vector(nodal_layout(blocks), blocks.comm)
     vector.setValues(petsc_ints(node_unknowns(blocks, nodes).ravel()), force.ravel(), addv=PETSc.InsertMode.ADD)
     vector.assemble()
     if expand is None:

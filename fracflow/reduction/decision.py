@@ -80,6 +80,7 @@ class ReductionInput:
     unknowns    of displacement, and ``pressures`` of pressure, on all ranks
     jumps       components of the jumps of all joint sections
     damps       terms have a C
+    memory      at hand on all ranks [bytes]
     card        numbers of the pre-run checks by their names; on rank 0 only
     locked      fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
@@ -94,6 +95,7 @@ class ReductionInput:
     jumps: int = 0
     ranks: int = 1
     damps: bool = False
+    memory: float = inf
     card: Mapping[str, Number] = field(default_factory=dict)
     locked: LockedFractures = LockedFractures()
     parts: UnloadedBlocks = UnloadedBlocks()

@@ -79,7 +79,7 @@ def _method(scene: Tables) -> Iterator[Fault]:
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
-    if method.rock_solver == "multigrid" and method.coupling not in ("auto", "monolithic"):
+    if method.rock_solver == "multigrid" and method.coupling not in ("auto", "monolithic", "fixed-point"):
         yield (
             ("method", "rock_solver"),
             f'contradicts coupling = "{method.coupling}"; use coupling = "auto", or "auto" here',

@@ -122,11 +122,12 @@ class Method(StepperKeys):
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = "auto"
     """how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct solve
     (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of time
-    step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic from two
-    million displacements on, where options are given to it, and where the direct solve does not converge"""
+    step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic with multigrid,
+    where options are given to it, and where the direct solve does not converge"""
     rock_solver: Literal["auto", "direct", "multigrid"] = "auto"
     """how the rock of a coupled step is solved: by a factorisation; or by multigrid with strips along the fractures, whose
-    iterations do not grow as joints slide or open; auto takes multigrid from two million displacements on"""
+    iterations do not grow as joints slide or open. Auto takes the faster one by an estimate: multigrid from half a million
+    displacements on, and where factors would not fit into memory"""
     fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = "plain"
     """how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson, or with
     storage added to the flow"""

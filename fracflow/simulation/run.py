@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, booked
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
@@ -38,7 +38,8 @@ from fracflow.simulation.observer import Observer, observer_of
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
-from fracflow.solve.options import set_defaults, takes_multigrid
+from fracflow.solve.options import set_defaults
+from fracflow.solve.rock_cost import as_line, memory_at_hand, takes_multigrid
 from fracflow.storage.sealed import AGAIN
 
 OnStep = Callable[[Step], None]
@@ -209,10 +210,11 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
-    rock_solver = model.scene.method.rock_solver
-    set_defaults(model.scene.petsc, unknowns, model.operators.layout.comm.size, rock_solver)
-    if takes_multigrid(rock_solver, unknowns):
-        recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation of the rock")
+    rock_solver, comm = model.scene.method.rock_solver, model.operators.layout.comm
+    memory = memory_at_hand(comm)
+    set_defaults(model.scene.petsc, unknowns, comm.size, rock_solver, memory)
+    if takes_multigrid(rock_solver, unknowns, memory=memory):
+        recorder.log(f"{as_line(unknowns, memory)}: multigrid in the place of a factorisation of the rock")
     stepping = Stepping(model, recorder.log)
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)
@@ -242,6 +244,7 @@ def is_moving(scene: Scene, step: Step) -> bool:
     return is_last and (scene.stage[step.stage].kind == "dynamic" or bool((step.progress or {}).get("moves")))
 
 
+@booked("FracSteps", "Steps")
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, observer: Observer
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:

@@ -15,7 +15,8 @@ from fracflow.integrators import EXPLICIT, Alphas, stepper_from
 from fracflow.scene.boundary import Stage
 from fracflow.scene.checks import against_condensing
 from fracflow.scene.scene import Scene
-from fracflow.solve.options import is_meant, takes_multigrid
+from fracflow.solve.options import is_meant
+from fracflow.solve.rock_cost import factor_numbers, takes_multigrid
 
 REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
 BESIDES = 0.3  # cost of an iteration on all unknowns beside LU: matrix, solve, balances
@@ -28,7 +29,6 @@ BALANCES = 0.1  # of a condensed step
 # node two joints have the same.
 DENSE, ROWS = 0.005, 0.04
 LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
-ENTRIES = 10.0  # numbers in both factors, of n log2 n
 ITERATIONS = 2  # of Newton's method in a step in which few joints change
 SWIFT = 12.0  # solves in the time of a factorisation by UMFPACK, of 1e3 to 3e5 unknowns
 USUAL = 3  # iterations of FGMRES with factors made before joints changed
@@ -68,7 +68,7 @@ def solves_per_factor(unknowns: int, swift: bool = False) -> float:
 
 def fits(unknowns: int, jumps: int) -> bool:
     """Whether the compliance has no more numbers than both factors of the rock."""
-    return jumps**2 <= ENTRIES * unknowns * math.log2(max(unknowns, 2))
+    return jumps**2 <= factor_numbers(unknowns)
 
 
 def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks: int = 1) -> float:
@@ -121,10 +121,13 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
     return Condensing(steps, pays, any(stage.kind == "auto" for stage in scene.stage))
 
 
-def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
-    """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
+def is_chosen(scene: Scene, unknowns: int, plan: Condensing, memory: float = math.inf) -> bool:
+    """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays.
+
+    memory  at hand [bytes]
+    """
     allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
-    is_multigrid = takes_multigrid(scene.method.rock_solver, unknowns)
+    is_multigrid = takes_multigrid(scene.method.rock_solver, unknowns, memory=memory)
     suits = allowed and SMALLEST <= unknowns and not is_multigrid and not any(against_condensing(scene))
     return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 

@@ -40,7 +40,7 @@ WHY_LINEAR = {
     "DIVERGED_DTOL": "its residual grew beyond what PETSc's options allow",
     "DIVERGED_BREAKDOWN": "its basis broke down",
     "DIVERGED_NANORINF": "its residual is not a number",
-    "DIVERGED_PCSETUP_FAILED": "its preconditioner could not be made, as of a singular matrix",
+    "DIVERGED_PCSETUP_FAILED": "its preconditioner could not be made",
 }
 """PETSc's reasons in words."""
 

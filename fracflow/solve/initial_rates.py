@@ -12,7 +12,7 @@ from fracflow.errors import SolveError, is_alone
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.joints import entry_sizes
-from fracflow.model.layout import product
+from fracflow.model.layout import create_matrix, product
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
@@ -154,7 +154,7 @@ def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
 
 def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
     """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none. Collective."""
-    zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
+    zeros = create_matrix(matrix.getSizes(), 1, matrix.getComm())
     first, last = zeros.getOwnershipRange()
     rows = np.arange(first, last, dtype=PETSc.IntType)
     zeros.setValuesIJV(np.arange(len(rows) + 1, dtype=PETSc.IntType), rows, np.zeros(len(rows)))

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, destroy
+from fracflow._petsc import MPI, PETSc, booked, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
-from fracflow.model.layout import Rows, add_blocks, create_matrix, local_rows
+from fracflow.model.layout import Rows, add_blocks, create_matrix, local_rows, matrix_of
 from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure, closure_row
 from fracflow.model.operators import Operators
@@ -96,7 +96,7 @@ class JoinedMatrix:
         csr = (self._indptr, self._col, np.zeros(len(union)))
         is_dry = layout.flow_starts[-1] == 0
         node = node_size(ops) if is_dry else 1
-        self.matrix = PETSc.Mat().createAIJ((local, local), bsize=node, csr=csr, comm=layout.comm)
+        self.matrix = matrix_of((local, local), csr, layout.comm, node)
         if is_dry:
             space = near_null_space(ops)
             self.matrix.setNearNullSpace(space)
@@ -188,6 +188,7 @@ class JoinedMatrix:
         """Those of the last filling."""
         return self._filled[0] if self._filled is not None else None
 
+    @booked("FracAssemble")
     def fill(
         self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None = None
     ) -> bool:

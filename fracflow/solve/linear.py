@@ -7,10 +7,16 @@ factors of its own, so that it does not depend on which steps this process has m
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
+from fracflow.integrators import Alphas
+from fracflow.mesh.data import Ints
+from fracflow.model.layout import Layout
+from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
@@ -22,6 +28,8 @@ BROKEN = 76  # PETSC_ERR_LIB: an external library reported an error
 SOLVE_ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
 REFINED = 1e-8  # above it a direct solve is refined
 UNSOLVED = 1e-3  # above it there is no solution, but for rows of unlike size
+NEARLY = 1e12  # |A| |x| / |b| from which on a matrix is called singular
+NO_MEMORY, NO_PIVOT = (-5, -7, -8, -9, -11, -12, -13, -14, -15, -17, -18, -19, -20), (-6, -10)  # of MUMPS's INFOG(1)
 UNSETTLED = 0.1  # of the solution: a refinement that changes it by less leaves Newton's method a step that serves
 
 
@@ -103,11 +111,60 @@ def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, wha
     if not (relative <= UNSOLVED or moves <= UNSETTLED):
         raise Unsolved(
             f"{what}: the {'direct' if is_direct else solver.getType()} solve left |Ax - b| = {relative:.1e} |b|, the limit is"
-            f" {UNSOLVED:g}: the matrix is singular, or nearly so"
+            f" {UNSOLVED:g}: {_why_unsolved(solver, solution, given)}"
         )
 
 
-def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
+def _why_unsolved(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec) -> str:
+    """Why a solve failed, in words: a matrix is called singular only where a direct solve shows it. Collective.
+
+    LU with pivots is backward stable. It loses all digits only where |A| |x| / |b|, which is at most the condition number of A,
+    comes near the inverse of round-off.
+    """
+    if solver.getPC().getType() not in ("lu", "cholesky"):
+        by = {"python": "multigrid"}.get(kind := solver.getPC().getType(), kind)
+        return f"{solver.getIterationNumber()} iterations preconditioned by {by} do not suffice"
+    code = _mumps_code(solver)
+    if code in NO_MEMORY:
+        return f"MUMPS found no memory for its factors (INFOG(1) = {code})"
+    norm, size = PETSc.NormType.INFINITY, given.norm(PETSc.NormType.INFINITY)
+    grown = solver.getOperators()[0].norm(norm) * solution.norm(norm) / size if size > 0.0 else 0.0
+    if code in NO_PIVOT or not grown < NEARLY:
+        return "the matrix is singular, or nearly so"
+    said = f" (INFOG(1) = {code})" if code else ""
+    return f"its factors have lost their digits{said}, while |A| |x| / |b| = {grown:.1e} shows no singular matrix"
+
+
+def _mumps_code(solver: PETSc.KSP) -> int:
+    """INFOG(1) of the last factorisation by MUMPS, 0 of another. Collective."""
+    pc = solver.getPC()
+    return int(pc.getFactorMatrix().getMumpsInfog(1)) if pc.getFactorSolverType() == "mumps" else 0
+
+
+class System(Protocol):
+    """A matrix that is filled again and again, with its unknowns; ``stands`` is it without what depends on the joints."""
+
+    matrix: PETSc.Mat
+    stands: PETSc.Mat
+
+    @property
+    def operators(self) -> Operators:
+        """Those it is made of."""
+
+    @property
+    def layout(self) -> Layout:
+        """Its unknowns."""
+
+    @property
+    def fixed(self) -> Ints:
+        """Numbers (n,) of those held."""
+
+    @property
+    def alphas(self) -> Alphas | None:
+        """Those of the last filling."""
+
+
+def set_up(solver: PETSc.KSP, matrix: System) -> None:
     """Give a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
     if solver.getType() != "preonly":
         solver.setConvergenceTest(KrylovTest())
@@ -162,7 +219,8 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
             solver.getPC().reset()
         if isinstance(error, Unsolved) or error.ierr != BROKEN:
             raise
-        raise Unsolved(f"{name}: the linear solver broke: the matrix is singular, or nearly so") from error
+        reason = str(error).splitlines()[-1].partition("] ")[2]
+        raise Unsolved(f"{name}: the linear solver broke ({solver.getPC().getType()}): {reason}") from error
 
 
 LEAST_WORTH = 2.0  # solves in the time of a factorisation: below, nothing is saved

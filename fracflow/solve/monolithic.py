@@ -15,6 +15,7 @@ from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import solves_both
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.rock_cost import direct, memory_at_hand
 
 FAR = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
 
@@ -92,15 +93,19 @@ class Auto(WholeLU):
                 isinstance(failure, Unsolved) or self._solves_badly(problem, failure)
             ):
                 raise
-            self.other, first = self.other or Newton(self.scene, self.matrix, self.second), failure
+            self.other, first = self.other or self._second(failure), failure
         start_again(problem)
         problem.evaluate()
         try:
             return super().solve(problem, self.other)
         except Unsolved as failure:
             if isinstance(first, Unsolved):
-                raise
+                raise Unsolved(f"{failure}; before it, {str(first).partition('; largest')[0]}") from first
             raise first from failure  # which says more than that this linear solver fails as well
+
+    def _second(self, failure: NotConverged) -> Newton:
+        """The other solver, for a step that the first one has failed in. Collective."""
+        return Newton(self.scene, self.matrix, self.second)
 
     def _solves_badly(self, problem: StepProblem, failure: NotConverged) -> bool:
         """Whether the linear solver may be why Newton's method came near a solution and not to it. Collective."""
@@ -115,9 +120,22 @@ class Auto(WholeLU):
 
 
 class Multigrid(Auto):
-    """FGMRES with multigrid for the rock, and LU of the whole for steps in which its linear solves do not converge."""
+    """FGMRES with multigrid for the rock, and LU of the whole for steps in which its linear solves do not converge.
+
+    LU is not begun where its factors would not fit into memory: the system would end the run without a word.
+    """
 
     prefix, second = "monolithic", "whole-lu"
+
+    def _second(self, failure: NotConverged) -> Newton:
+        layout = self.matrix.layout
+        needed, there = direct(layout.total).bytes, memory_at_hand(layout.comm)
+        if needed > there:
+            raise Unsolved(
+                f"{failure}; LU of the whole, which would be tried next, needs about {needed / 1e9:.3g} GB, and"
+                f" {there / 1e9:.3g} GB are at hand: take more machines, a smaller time_step, or a coarser mesh"
+            ) from failure
+        return super()._second(failure)
 
     def _solves_badly(self, problem: StepProblem, failure: NotConverged) -> bool:
         return False

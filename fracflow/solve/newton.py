@@ -106,7 +106,9 @@ class Newton:
                     renew(self.solver, self.matrix)
                 raise
             except SingularMatrix as error:
-                raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
+                raise self._failure(
+                    "its linear solve gave no number", iterations + self.snes.getIterationNumber()
+                ) from error
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from fracflow._petsc import PETSc
 from fracflow.errors import InputError
+from fracflow.solve.rock_cost import takes_multigrid
 
 Value = str | float | int | bool
 
@@ -49,10 +51,6 @@ OPTIONS: dict[str, dict[str, Value]] = {
     "explicit": {"ksp_type": "preonly", "pc_type": "lu"},  # the pressures of an explicit step
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
-
-MULTIGRID_FROM = 2_000_000
-"""Displacement unknowns from which multigrid takes no more time than a factorisation, and a third less memory. At 2.0e6, on 2
-ranks, it took 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
 
 # Sparse coarse grids: a cycle takes two thirds of the time of BoomerAMG's defaults in PETSc, with as many iterations.
 # Rows of the flow may be many orders smaller than the rock's, or larger, and FGMRES weighs them by their size. The first guess
@@ -125,22 +123,19 @@ def is_meant(prefix: str) -> bool:
     return any(name.startswith(f"{prefix}_") for name in _given)
 
 
-def takes_multigrid(rock_solver: str, unknowns: int) -> bool:
-    """Whether so many displacements are solved for by multigrid: as the scene says, or else where it takes no more time."""
-    return rock_solver == "multigrid" or (rock_solver == "auto" and unknowns >= MULTIGRID_FROM)
-
-
-def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto") -> None:
+def set_defaults(
+    given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto", memory: float = math.inf
+) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``rock_solver`` and ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between
-    factorisations. Options of an earlier call, for this scene or another of this process, are removed.
+    ``rock_solver``, ``unknowns`` of displacement and ``memory`` at hand [bytes] decide between factorisation and multigrid, and
+    ``ranks`` between factorisations. Options of an earlier call, for this scene or another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
     _given.clear()
     _given.update(given, database.getAll())
-    is_multigrid = takes_multigrid(rock_solver, unknowns)
+    is_multigrid = takes_multigrid(rock_solver, unknowns, memory=memory)
     tables = [
         OPTIONS,
         *([MULTIGRID] if is_multigrid else []),
@@ -169,3 +164,24 @@ def _try_options() -> None:
             raise InputError(f"{where}: {reason}; see PETSc's manual") from None
         finally:
             solver.destroy()
+    _try_types()
+
+
+def _try_types() -> None:
+    """Raise InputError for a ``-mat_type`` or ``-vec_type`` that the program's matrices and vectors cannot have."""
+    given, alone = PETSc.Options(), PETSc.COMM_WORLD.getSize() == 1
+    for option, new, default in (("mat_type", PETSc.Mat, "aij"), ("vec_type", PETSc.Vec, "mpi")):
+        name, thing, reason = given.getString(option, default), new().create(comm=PETSc.COMM_SELF), ""
+        if option == "mat_type" and not name.removeprefix("seq").removeprefix("mpi").startswith("aij"):
+            reason = "the program fills and factors types of the family aij alone, such as aijcusparse or aijkokkos"
+        elif name.startswith("seq") and not alone:
+            reason = "that type is of one rank"
+        try:
+            thing.setSizes(1)
+            thing.setType(name)
+        except PETSc.Error as error:
+            reason = reason or str(error).splitlines()[-1].partition("] ")[2]
+        finally:
+            thing.destroy()
+        if reason:
+            raise InputError(f"PETSc option -{option} {name}: {reason}; take another, or leave it out")

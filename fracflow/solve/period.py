@@ -6,6 +6,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.laws.base import HELD
+from fracflow.model.layout import matrix_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections
@@ -59,9 +60,8 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
     first = joints.jump.getOwnershipRange()[0]
     columns = first + np.repeat(np.arange(count).reshape(-1, dim), dim, axis=0)
     rows = np.arange(count + 1) * dim
-    csr = (rows.astype(PETSc.IntType), columns.ravel().astype(PETSc.IntType), moduli.ravel())
     local = joints.jump.getSizes()[0]
-    springs = PETSc.Mat().createAIJ((local, local), csr=csr, comm=joints.jump.getComm())
+    springs = matrix_of((local, local), (rows, columns.ravel(), moduli.ravel()), joints.jump.getComm())
     product = springs.PtAP(joints.jump)
     stiff = with_diagonal(operators.stiffness)
     stiff.axpy(1.0, product, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import PETSc, booked, destroy
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
@@ -134,6 +134,7 @@ class StepProblem:
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
 
+    @booked("FracEvaluate")
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial. Sections keep ``trial_status``, or with ``hold`` False may leave it once.
 
@@ -173,6 +174,7 @@ class StepProblem:
             self.flow_balance.getArray()[part.numbers] = 0.0
         self._measure(max(terms), max(flow_terms))
 
+    @booked("FracLaws")
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
         return self.operators.joints.evaluate(strain, self.trial_status, self.law_step(hold))
@@ -229,6 +231,7 @@ class StepProblem:
         result.setArray(self.taken_up)
         return result
 
+    @booked("FracFlow")
     def _flow_balance(self, speed: PETSc.Vec) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, destroy
+from fracflow._petsc import MPI, PETSc, booked, destroy
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -190,6 +190,7 @@ class SectionSolver:
         now = self.total_traction(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
+    @booked("FracSections")
     def solve(
         self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:

@@ -38,13 +38,13 @@ from fracflow.model.joints import jump_matrix, section_groups
 from fracflow.model.layout import add_blocks, create_matrix, layout_of
 from fracflow.model.solid import nodal_layout, node_unknowns, stiffness_of
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
-from fracflow.solve.options import MULTIGRID_FROM, set_defaults
+from fracflow.solve.options import set_defaults
 
 SIZE, MODULUS, RATIO, PRESSURE = 10.0, 5e10, 0.25, 1e6
 FRICTION, SLIP = 0.6, (0.8, 0.6)  # which way the planes slide: along strike, up the dip
 LEAN = 0.3  # of the planes x = const: a shift of x with z
-SOLVERS = {"lu": 0, "multigrid": MULTIGRID_FROM}
-"""How the program solves a dry scene of so many unknowns."""
+SOLVERS = {"lu": "direct", "multigrid": "multigrid"}
+"""Ways to solve -> ``method.rock_solver``."""
 
 
 @contextmanager
@@ -145,10 +145,10 @@ def write(folder: Path, matrix: PETSc.Mat, right: PETSc.Vec, places: PETSc.Vec) 
         viewer.destroy()
 
 
-def solve(system: System, unknowns: int) -> tuple[PETSc.Vec, dict[str, Any]]:
-    """Solve, to 1e-9, as the program solves the displacements of a dry scene with so many unknowns. Collective."""
+def solve(system: System, rock_solver: str) -> tuple[PETSc.Vec, dict[str, Any]]:
+    """Solve, to 1e-9, as the program solves the displacements of a dry scene. Collective."""
     blocks, matrix, right, held, _ = system
-    set_defaults({}, unknowns)
+    set_defaults({}, rock_solver=rock_solver)
     solver = PETSc.KSP().create(comm=matrix.getComm())
     solver.setOptionsPrefix("solid_")
     solver.setFromOptions()

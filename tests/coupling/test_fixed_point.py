@@ -18,6 +18,7 @@ from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 from fracflow.solve.fixed_point.failure import cycles_needed
 from fracflow.solve.fixed_point.iteration import FixedPoint
+from fracflow.solve.options import set_defaults
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest, StepRule
 
@@ -127,17 +128,26 @@ def test_refusal_names_the_number_and_the_limit(comm):
 
 
 @pytest.mark.parametrize(
-    "name, factor, most", [("aitken", 50.0, 45), ("anderson", 200.0, 15), ("added-storage", 200.0, 6)]
+    "name, factor, most, rock_solver",
+    [
+        ("aitken", 50.0, 45, "direct"),
+        ("anderson", 200.0, 15, "direct"),
+        ("added-storage", 200.0, 6, "direct"),
+        ("added-storage", 200.0, 6, "multigrid"),
+        ("plain", 0.5, 45, "multigrid"),
+    ],
 )
-def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most, comm):
+def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most, rock_solver, comm):
     """The film where plain cycles diverge by a factor, in at most so many cycles; with both ends closed too."""
     for ends in (("start", "end"), ()):
         if not ends and name != "added-storage":
             continue
-        scenes = [film({"fixed_point": name}, ends, 1e8), film({"coupling": "monolithic"}, ends, 1e8)]
+        by_turns = film({"fixed_point": name, "rock_solver": rock_solver}, ends, 1e8)
+        scenes = [by_turns, film({"coupling": "monolithic"}, ends, 1e8)]
         found, model = [], prepare(scenes[0], comm)  # one partition for both
         dt = rho_of_film(1.0, np.pi / LENGTH) / factor
         for scene in scenes:
+            set_defaults(scene.petsc, rock_solver=scene.method.rock_solver)
             stepping, state = Stepping(replace(model, scene=scene)), equilibrium_state(model)
             new, report = stepping.step(state, StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler())
             found.append((new.pressure.getArray().copy(), new.motion.displacement.getArray().copy(), report))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from physics.test_flow_with_slip import OpensBySlip
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, PETSc
 from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.network import FlowNetwork
-from fracflow.errors import NotConverged
+from fracflow.errors import InputError, NotConverged
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 from fracflow.laws import FLOW_LAWS
 from fracflow.model.compressibility import rate_by
@@ -329,3 +329,25 @@ def test_a_refusal_is_raised_once_snes_has_ended(refused, monkeypatch):
     problem.destroy()
     newton.destroy()
     matrix.destroy()
+
+
+def test_types_of_the_command_line_are_those_of_all_matrices_and_vectors(comm):
+    options, scene = PETSc.Options(), load("meshes/crossings/scene.toml")
+    stiff = prepare(scene, comm).operators.stiffness
+    try:
+        options["mat_type"], options["vec_type"] = "aijperm", "standard"
+        model = prepare(scene, comm)
+        ops, matrix = model.operators, JoinedMatrix(model.operators, model.loads)
+        rank = "seq" if comm.size == 1 else "mpi"
+        assert {each.getType() for each in (ops.stiffness, ops.mass, matrix.matrix)} == {f"{rank}aijperm"}
+        assert ops.layout.joined_vector().getType() == rank
+        assert ops.stiffness.norm() == pytest.approx(stiff.norm(), rel=1e-14)
+        matrix.destroy()
+        for name, kind, why in (("mat_type", "baij", "family aij"), ("vec_type", "nothing", "Unknown vector type")):
+            options[name] = kind
+            with pytest.raises(InputError, match=f"PETSc option -{name} {kind}: .*{why}"):
+                prepare(scene, comm)
+            options.delValue(name)
+    finally:
+        options.delValue("mat_type")
+        options.delValue("vec_type")

@@ -1,15 +1,20 @@
 """Multigrid, the choice for large scenes: what it is told of the rock is true, and it finds what a factorisation finds."""
 
+import os
+import re
+import resource
+
 import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc, destroy
-from fracflow.errors import InputError
+from fracflow.errors import InputError, SolveError
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve import options as defaults
+from fracflow.solve import rock_cost
 from fracflow.solve.fractured_rock.preconditioner import parts_of
 from fracflow.solve.jacobian import near_null_space, rigid_motions
 
@@ -94,20 +99,39 @@ def test_parts_that_jump_are_the_same_on_any_number_of_ranks(comm):
 
 
 @pytest.mark.serial
-def test_scene_or_size_decides():
+def test_scene_or_cost_decides():
+    """From half a million unknowns on in the plane multigrid takes less time, sooner in space; and where factors do not fit."""
     options = PETSc.Options()
-    key = "monolithic_pc_type"
-    for unknowns, solver, given, chosen in [
-        (defaults.MULTIGRID_FROM - 1, "auto", {}, "fieldsplit"),
-        (defaults.MULTIGRID_FROM, "auto", {}, "shell"),
-        (defaults.MULTIGRID_FROM, "auto", {key: "asm"}, "asm"),
-        (defaults.MULTIGRID_FROM, "direct", {}, "fieldsplit"),
-        (0, "multigrid", {}, "shell"),
-        (0, "auto", {}, "fieldsplit"),
+    key, much = "monolithic_pc_type", 1e12
+    for unknowns, solver, given, memory, chosen in [
+        (400_000, "auto", {}, much, "fieldsplit"),
+        (600_000, "auto", {}, much, "shell"),
+        (600_000, "auto", {key: "asm"}, much, "asm"),
+        (600_000, "direct", {}, 0.0, "fieldsplit"),
+        (100_000, "auto", {}, rock_cost.direct(100_000).bytes, "fieldsplit"),
+        (100_000, "auto", {}, 0.99 * rock_cost.direct(100_000).bytes, "shell"),
+        (0, "multigrid", {}, much, "shell"),
+        (0, "auto", {}, much, "fieldsplit"),
     ]:
-        defaults.set_defaults(given, unknowns, rock_solver=solver)
+        defaults.set_defaults(given, unknowns, rock_solver=solver, memory=memory)
         assert options[key] == chosen
     assert list(defaults.MULTIGRID) == ["monolithic", "solid"]
+    assert [rock_cost.takes_multigrid("auto", n, 3) for n in (10_000, 100_000)] == [False, True]
+    assert rock_cost.takes_multigrid("direct", 10**9) is False
+
+
+def test_memory_at_hand_is_that_of_the_machine_its_group_and_its_shell(comm):
+    """Ranks of one machine share it."""
+    there = rock_cost.memory_at_hand(comm)
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert 0.0 < there <= total and comm.allgather(there) == [there] * comm.size
+    assert there == pytest.approx(rock_cost.memory_at_hand(MPI.COMM_SELF) - rock_cost.PROGRAM * (comm.size - 1))
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (total // 2, before[1]))
+    try:
+        assert rock_cost.memory_at_hand(MPI.COMM_SELF) <= total // 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 @pytest.mark.serial
@@ -126,3 +150,16 @@ def test_a_step_that_multigrid_does_not_solve_is_solved_by_a_factorisation(tmp_p
         ends.append(read_history(tmp_path / name / "history.h5"))
     found = [name for name in ends[0] if name.startswith("probe/") and name.endswith("/pressure")]
     assert found and all(np.abs(ends[1][name] - ends[0][name]).max() < 1e-8 * 5e6 for name in found)
+
+
+@pytest.mark.serial
+def test_a_factorisation_without_room_is_not_begun(tmp_path, monkeypatch):
+    """The failure says what was tried, what would come next, and why it did not; and calls no matrix singular."""
+    monkeypatch.setattr("fracflow.solve.monolithic.memory_at_hand", lambda comm: 1e6)
+    few = ["petsc.monolithic_ksp_max_it=1", "petsc.monolithic_intact_pc_type=none", "method.rock_solver=multigrid"]
+    with pytest.raises(SolveError) as caught:
+        run(load("meshes/crossings/scene.toml", ["output.pictures=false", *few]), tmp_path)
+    said = str(caught.value)
+    assert re.search(r"monolithic: .* left .* 1 iterations preconditioned by multigrid do not suffice", said)
+    assert re.search(r"LU of the whole, .* needs about 0\.15\d GB, and 0\.001 GB are at hand", said)
+    assert "singular" not in said

@@ -43,7 +43,7 @@ def test_a_good_solution_passes_and_a_spoiled_one_is_refined(comm):
     check_solution(solver, solution, right, "here")
     solution.set(1e18)
     with pytest.raises(
-        NotConverged, match=r"here: the direct solve left .* the limit is 0\.001: the matrix is singular"
+        NotConverged, match=r"here: the direct solve left .* the limit is 0\.001: its factors have lost their digits"
     ):
         check_solution(solver, solution, right, "here")
 
@@ -77,4 +77,51 @@ def test_what_floats_is_caught(comm):
     """No ground spring, and a force: MUMPS makes something of it, or nothing."""
     _, solver, solution, right = _solved(np.zeros(12), np.ones(12), comm)
     with pytest.raises(NotConverged, match="singular"):
+        check_solution(solver, solution, right, "here")
+
+
+def _square(count, comm):
+    """A plate of springs (count^2) to its neighbours and to ground, far from singular; PETSc's solver, matrix, right side."""
+    matrix = PETSc.Mat().createAIJ((count**2,) * 2, nnz=5, comm=comm)
+    for row in range(*matrix.getOwnershipRange()):
+        i, j = divmod(row, count)
+        near = [i * count + j + d for d in (-1, 1) if 0 <= j + d < count]
+        near += [(i + d) * count + j for d in (-1, 1) if 0 <= i + d < count]
+        matrix.setValues([row], [row, *near], [4.1] + [-1.0] * len(near))
+    matrix.assemble()
+    solution, right = matrix.createVecs()
+    right.set(1.0)
+    solver = PETSc.KSP().create(comm=comm)
+    solver.setOperators(matrix)
+    return solver, solution, right
+
+
+def test_a_matrix_that_is_not_singular_is_not_called_so(comm):
+    """Iterations that do not suffice, factors that find no memory, and digits lost: each by its name."""
+    solver, solution, right = _square(60, comm)
+    solver.setType("gmres")
+    solver.getPC().setType("jacobi")
+    solver.setTolerances(max_it=3)
+    solver.solve(right, solution)
+    with pytest.raises(NotConverged, match="3 iterations preconditioned by jacobi do not suffice"):
+        check_solution(solver, solution, right, "here")
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    solver.getPC().setFactorSetUpSolverType()
+    solver.getPC().getFactorMatrix().setMumpsIcntl(23, 1)  # MB
+    solver.solve(right, solution)
+    with pytest.raises(NotConverged, match=r"MUMPS found no memory for its factors \(INFOG\(1\) = -\d+\)"):
+        check_solution(solver, solution, right, "here")
+    solver, solution, right = _square(60, comm)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    solver.solve(right, solution)
+    check_solution(solver, solution, right, "here")
+    other = solver.getOperators()[0].duplicate(copy=True)
+    other.shift(-9.0)  # another matrix than that of the factors
+    solver.getPC().setReusePreconditioner(True)
+    solver.setOperators(other)
+    with pytest.raises(NotConverged, match=r"lost their digits, while .* shows no singular matrix"):
         check_solution(solver, solution, right, "here")

@@ -15,10 +15,12 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas
-from fracflow.mesh.data import Floats
+from fracflow.mesh.blocks import owner_of
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import Layout, layout_of
 from fracflow.model.operators import Operators
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear import UNSOLVED, check_solution, true_residual
+from fracflow.solve.linear import UNSOLVED, check_solution, set_up, true_residual
 from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
@@ -28,6 +30,32 @@ DOUBLINGS = 8
 TRIALS = 8
 NEAR = 0.02  # of 1, where the limit of the time step is searched
 FARTHEST = 1e9
+
+
+@dataclass
+class RockBlock:
+    """J_uu as a matrix of its own, what stands of it without the joints, its unknowns, and numbers of those held (n,)."""
+
+    matrix: PETSc.Mat
+    stands: PETSc.Mat
+    operators: Operators
+    layout: Layout
+    fixed: Ints
+    alphas: Alphas | None
+
+    @classmethod
+    def of(cls, whole: JoinedMatrix, block: PETSc.Mat) -> RockBlock:
+        """That of the whole, whose solid ``block`` it is."""
+        layout, alone = whole.layout, layout_of(whole.operators.blocks, with_flow=False)
+        starts = layout.solid_starts + layout.flow_starts
+        rank = owner_of(starts, whole.fixed)
+        numbers = whole.fixed - layout.flow_starts[rank]
+        solid, flow = layout.index_sets()
+        stands = whole.stands.createSubMatrix(solid, solid)
+        destroy(solid, flow)
+        return cls(
+            block, stands, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas
+        )
 
 
 class Cycle:
@@ -41,6 +69,8 @@ class Cycle:
         splits = matrix.layout.index_sets()
         self.blocks = [[matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
         self.solid = solver_of(self.blocks[0][0], "solid_")
+        self.rock = RockBlock.of(matrix, self.blocks[0][0])
+        set_up(self.solid, self.rock)
         self.wall, self.force = self.blocks[0][0].createVecs()
         self.held = np.isin(matrix.layout.start + matrix.layout.solid_count + _here(self.blocks[1][1]), matrix.fixed)
         destroy(*splits)
@@ -92,7 +122,9 @@ class Cycle:
 
     def destroy(self) -> None:
         """Free matrices and solver. Collective."""
-        destroy(self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1])
+        if self.solid.getPC().getType() == "python":
+            self.solid.getPC().setType("none")
+        destroy(self.solid, self.rock.stands, self.wall, self.force, *self.blocks[0], *self.blocks[1])
 
 
 @dataclass(frozen=True)

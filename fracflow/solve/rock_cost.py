@@ -1,0 +1,139 @@
+"""Cost of the rock's solve by a factorisation and by multigrid, CPU and memory: by which of the two a scene is solved.
+
+Factors by nested dissection take N^(3/2) operations and N log N numbers in the plane, N^2 and N^(4/3) in space (George 1973;
+Lipton, Rose and Tarjan 1979). Multigrid takes N of both, with iterations that grow a little. Shares are those of scripts/bench
+rock_solver, for one iteration of Newton's method while hundreds of sections slide.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.storage.files import read_text
+
+NUMBER = 8.0  # bytes
+CLEARLY = 1.5  # times less
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Measured shares of a problem in the plane, or in space.
+
+    operations  CPU s of the power ``grows`` of a million unknowns, in a factorisation
+    solves      CPU s of N log2 N of a million unknowns, in solves with the factors
+    numbers     in both factors, of N log2 N or N^(4/3)
+    sets_up     CPU s of a million unknowns: small systems of multigrid, made anew in each iteration of Newton's method
+    iterates    CPU s of a million unknowns in an iteration of FGMRES
+    holds       numbers an unknown in its grids, small systems and vectors
+    iterations  of FGMRES with a million unknowns, and ``more`` the power of N by which they grow
+    """
+
+    grows: float
+    operations: float
+    solves: float
+    numbers: float
+    sets_up: float
+    iterates: float
+    holds: float
+    iterations: float
+    more: float
+
+
+SHARES = {
+    2: Shares(1.5, 3.3, 0.11, 10.0, 1.8, 0.15, 200.0, 7.8, 0.08),
+    3: Shares(2.0, 1160.0, 0.25, 40.0, 16.0, 1.7, 600.0, 15.0, 0.12),
+}
+"""By dimension. Measured from 7e3 to 3.3e5 unknowns in the plane, 1.1e4 to 3e4 in space; ``holds`` in space is a guess."""
+PROGRAM, MATRICES = 1.5e8, 330.0
+"""Bytes of the program with its libraries; numbers an unknown in matrices and vectors, however the rock is solved for."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """CPU time of an iteration of Newton's method [s], on the machine of the benchmark; memory of the run [bytes]."""
+
+    seconds: float
+    bytes: float
+
+
+def without_solves(unknowns: float) -> float:
+    """Memory of a run that solves for no rock, as in explicit steps [bytes]."""
+    return PROGRAM + NUMBER * MATRICES * unknowns
+
+
+def factor_numbers(unknowns: float, dim: int = 2) -> float:
+    """Numbers in both factors of so many unknowns."""
+    grows = unknowns * math.log2(max(unknowns, 2.0)) if dim == 2 else unknowns ** (4.0 / 3.0)
+    return SHARES[dim].numbers * grows
+
+
+def direct(unknowns: int, dim: int = 2) -> Cost:
+    """Cost by LU."""
+    shares, size = SHARES[dim], unknowns / 1e6
+    seconds = shares.operations * size**shares.grows + shares.solves * size * math.log2(max(unknowns, 2))
+    return Cost(seconds, without_solves(unknowns) + NUMBER * factor_numbers(unknowns, dim))
+
+
+def iterations(unknowns: int, dim: int = 2) -> float:
+    """Iterations of FGMRES that multigrid is expected to take."""
+    return SHARES[dim].iterations * (unknowns / 1e6) ** SHARES[dim].more
+
+
+def multigrid(unknowns: int, dim: int = 2, krylov: float | None = None) -> Cost:
+    """Cost by multigrid, of so many iterations of FGMRES or of those expected."""
+    shares, made = SHARES[dim], iterations(unknowns, dim) if krylov is None else krylov
+    seconds = (shares.sets_up + shares.iterates * made) * unknowns / 1e6
+    return Cost(seconds, without_solves(unknowns) + NUMBER * shares.holds * unknowns)
+
+
+def takes_multigrid(rock_solver: str, unknowns: int, dim: int = 2, memory: float = math.inf) -> bool:
+    """Whether so many displacements are solved for by multigrid: as the scene says, or by the cost.
+
+    ``auto`` takes multigrid where it is expected to take clearly less time, since LU needs no estimate of its iterations, and
+    where the factors of LU do not fit into the ``memory`` at hand [bytes].
+    """
+    if rock_solver != "auto":
+        return rock_solver == "multigrid"
+    by_factors = direct(unknowns, dim)
+    return by_factors.seconds > CLEARLY * multigrid(unknowns, dim).seconds or by_factors.bytes > memory
+
+
+def as_line(unknowns: int, memory: float) -> str:
+    """Numbers that speak for multigrid."""
+    by_factors, by_grids = direct(unknowns), multigrid(unknowns)
+    times = (
+        f"{by_grids.seconds / by_factors.seconds:.2g} times the time and {by_grids.bytes / by_factors.bytes:.2g} times"
+    )
+    return f"{unknowns} displacements, {times} the memory of LU expected, {memory / 1e9:.3g} GB at hand"
+
+
+def memory_at_hand(comm: MPI.Comm) -> float:
+    """Bytes that a run on these ranks may take, spread evenly, for the smallest machine to hold its share. Collective."""
+    machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    found = (_of_machine() - PROGRAM * (machine.size - 1)) * comm.size / machine.size
+    machine.Free()
+    return float(comm.allreduce(found, op=MPI.MIN))
+
+
+def _of_machine() -> float:
+    """Bytes of this machine's memory, or what a container, a batch system or the shell leaves of it."""
+    pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
+    limits = [float(pages * size)]
+    limits += [float(most) for most in resource.getrlimit(resource.RLIMIT_AS) if most != resource.RLIM_INFINITY]
+    group = Path("/sys/fs/cgroup")
+    with suppress(InputError):
+        own = next(
+            (line[3:] for line in read_text(Path("/proc/self/cgroup"), "").splitlines() if line[:3] == "0::"), "/"
+        )
+        group /= own.lstrip("/")
+    for folder in (group, *group.parents[:-3]):
+        with suppress(InputError, ValueError):
+            limits.append(float(read_text(folder / "memory.max", "")))
+    return min(limits)
