@@ -17,7 +17,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
 from fracflow.model.operators import Operators
-from fracflow.model.state import State
+from fracflow.model.state import Sections, State
 from fracflow.model.terms.term import Term
 
 STORED = (
@@ -44,7 +44,8 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
-    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
+    of_joints = ops.layout.comm.allreduce(joint_work(ops.joints.weights, old.sections, new.sections))
+    parts |= joint_parts(of_joints) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
@@ -57,8 +58,13 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
             _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     destroy(change, mean_pressure, mean_displacement, term)
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
-    return _with_residuals(totals)
+    return added(old.energy, parts)
+
+
+def added(totals: Mapping[str, float], parts: Mapping[str, float]) -> dict[str, float]:
+    """Totals after ``parts`` of a step, or of some."""
+    names = dict.fromkeys([*ENTRIES, *totals])
+    return _with_residuals({name: totals.get(name, 0.0) + parts.get(name, 0.0) for name in names})
 
 
 def _sum(first: float, a: PETSc.Vec, second: float, b: PETSc.Vec) -> PETSc.Vec:
@@ -146,15 +152,21 @@ def dissipated(old: State, new: State) -> Floats:
     return old.friction + 0.5 * work.sum(axis=1)
 
 
-def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
-    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two."""
-    weights, before, after = ops.joints.weights[:, None], old.sections, new.sections
-    traction = 0.5 * weights * (before.traction + after.traction)
+def joint_work(weights: Floats, before: Sections, after: Sections) -> Floats:
+    """(2.27) with (2.33b): work (4,) on this rank's sections in a step, normal, elastic shear, plastic; and what they store.
+
+    weights  (s,) length or area that each stands for
+    """
+    traction = 0.5 * weights[:, None] * (before.traction + after.traction)
     plastic = traction * (after.inelastic - before.inelastic)
     elastic = traction * (after.strain - before.strain) - plastic
-    stored = np.sum(ops.joints.weights * (after.stored - before.stored))
-    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
-    normal, shear, friction, closed = ops.layout.comm.allreduce(local)
+    stored = np.sum(weights * (after.stored - before.stored))
+    return np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
+
+
+def joint_parts(work: Floats) -> dict[str, float]:
+    """Entries of the balance of that (4,), summed over all ranks; and the closed form of the first two."""
+    normal, shear, friction, closed = work.tolist()
     return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
 
 
