@@ -2,7 +2,7 @@
 
    Arrays of two values a node: places x, displacements u, velocities v at the middle of steps, forces f, outer forces e. Moduli
    d of a rock: D_xx, D_xy, and D_ss of its shear, times engineering shear strain. A cell is a row of nodes and the number of its
-   rock. Each function of a cell takes K u off f, and gives twice the strain energy of the cell. */
+   rock. Each function of a cell takes K u off f, and finds twice the strain energy of the cell. */
 #include <stdint.h>
 #include <string.h>
 
@@ -15,7 +15,9 @@
 
 const int fracflow_leapfrog_version = 1;
 
+typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));
+typedef long long places __attribute__((vector_size(32)));
 
 INLINE double triangle(const int32_t *cell, const double *d, const double *x, const double *u, double *f) {
   const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2];
@@ -31,40 +33,34 @@ INLINE double triangle(const int32_t *cell, const double *d, const double *x, co
   return s * xx + t * yy + h * xy;
 }
 
-/* The four places of quadrature side by side. A field of corner values p is p_0 + p_1 xi + p_2 eta + p_3 xi eta. */
-INLINE double quadrilateral(const int32_t *cell, const double *d, const double *x, const double *u, double *f) {
+/* A field of corner values p has slopes (p_1 + p_3 eta)/4 and (p_2 + p_3 xi)/4; both sides of the four places of quadrature lie
+   side by side, so that their Jacobians are 16 times as large. Adds to twice the energy. */
+INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x, const double *u, double *f, four *twice) {
   const double g = 0.57735026918962576451;
   const four xi = {-g, g, g, -g}, eta = {-g, -g, g, g};
-  const int64_t a = 2 * (int64_t)cell[0], b = 2 * (int64_t)cell[1], c = 2 * (int64_t)cell[2], e = 2 * (int64_t)cell[3];
-  double slope[2][2][3]; /* of places, of displacements; by component; p_1, p_2, p_3 */
-  for (int field = 0; field < 2; field++) {
-    const double *p = field ? u : x;
-    for (int i = 0; i < 2; i++) {
-      const double first = p[c + i] - p[a + i], second = p[b + i] - p[e + i];
-      slope[field][i][0] = 0.25 * (first + second);
-      slope[field][i][1] = 0.25 * (first - second);
-      slope[field][i][2] = 0.25 * ((p[a + i] - p[b + i]) + (p[c + i] - p[e + i]));
-    }
-  }
-#define BY_XI(field, i) (slope[field][i][0] + slope[field][i][2] * eta)
-#define BY_ETA(field, i) (slope[field][i][1] + slope[field][i][2] * xi)
-#define SUM(z) (((z)[0] + (z)[1]) + ((z)[2] + (z)[3]))
-  const four xa = BY_XI(0, 0), ya = BY_XI(0, 1), xb = BY_ETA(0, 0), yb = BY_ETA(0, 1);
-  const four ua = BY_XI(1, 0), va = BY_XI(1, 1), ub = BY_ETA(1, 0), vb = BY_ETA(1, 1);
-  const four w = 1.0 / (xa * yb - xb * ya);
-  const four xx = ua * yb - ub * ya, yy = xa * vb - xb * va, xy = xa * ub - xb * ua + va * yb - vb * ya;
-  const four s = w * (d[0] * xx + d[1] * yy), t = w * (d[1] * xx + d[0] * yy), h = w * (d[2] * xy);
+  const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2], l = 2 * (int64_t)cell[3];
+#define AT(p, i) (*(const two *)((p) + (i)))
+  const two x_ki = AT(x, k) - AT(x, i), x_lj = AT(x, l) - AT(x, j), u_ki = AT(u, k) - AT(u, i), u_lj = AT(u, l) - AT(u, j);
+  const two x1 = x_ki - x_lj, x2 = x_ki + x_lj, u1 = u_ki - u_lj, u2 = u_ki + u_lj;
+  const two x3 = (AT(x, i) - AT(x, j)) + (AT(x, k) - AT(x, l)), u3 = (AT(u, i) - AT(u, j)) + (AT(u, k) - AT(u, l));
+  const four xa = x1[0] + x3[0] * eta, ya = x1[1] + x3[1] * eta, xb = x2[0] + x3[0] * xi, yb = x2[1] + x3[1] * xi;
+  const four ua = u1[0] + u3[0] * eta, va = u1[1] + u3[1] * eta, ub = u2[0] + u3[0] * xi, vb = u2[1] + u3[1] * xi;
+  const four w = 0.0625 / (xa * yb - xb * ya);
+  const four xx = ua * yb - ub * ya, yy = xa * vb - xb * va, xy = (xa * ub - xb * ua) + (va * yb - vb * ya);
+  const four wx = w * xx, wy = w * yy, s = d[0] * wx + d[1] * wy, t = d[1] * wx + d[0] * wy, h = d[2] * (w * xy);
   const four ax = s * yb - h * xb, ay = h * yb - t * xb, bx = h * xa - s * ya, by = t * xa - h * ya;
-  const four cx = ax * eta + bx * xi, cy = ay * eta + by * xi, twice = s * xx + t * yy + h * xy;
-  const double fa[2] = {0.25 * SUM(ax), 0.25 * SUM(ay)}, fb[2] = {0.25 * SUM(bx), 0.25 * SUM(by)};
-  const double fc[2] = {0.25 * SUM(cx), 0.25 * SUM(cy)};
-  for (int i = 0; i < 2; i++) {
-    f[a + i] += fa[i] + fb[i] - fc[i];
-    f[b + i] -= fa[i] - fb[i] - fc[i];
-    f[c + i] -= fa[i] + fb[i] + fc[i];
-    f[e + i] -= fb[i] - fa[i] - fc[i];
-  }
-  return SUM(twice);
+  const four cx = ax * eta + bx * xi, cy = ay * eta + by * xi;
+  *twice += s * xx + t * yy + h * xy;
+  /* sums over the places, of both components at once */
+#define MIXED(p, q, ...) __builtin_shuffle(p, q, (places){__VA_ARGS__})
+#define PAIRS(p, q) (MIXED(p, q, 0, 4, 2, 6) + MIXED(p, q, 1, 5, 3, 7))
+  const four a = PAIRS(ax, ay), b = PAIRS(bx, by), c = PAIRS(cx, cy);
+  const two fa = {a[0] + a[2], a[1] + a[3]}, fb = {b[0] + b[2], b[1] + b[3]}, fc = {c[0] + c[2], c[1] + c[3]};
+#define TO(i) (*(two *)(f + (i)))
+  TO(i) += (fa + fb) - fc;
+  TO(j) -= (fa - fb) - fc;
+  TO(k) -= (fa + fb) + fc;
+  TO(l) += (fa - fb) + fc;
 }
 
 /* Nodes from first to last: v += kick f/m, u += drift v. */
@@ -80,31 +76,33 @@ INLINE void moved(int64_t first, int64_t last, const double *inverse, double kic
    r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
    do not move here. Nodes before begun have their e. */
 FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                                   const int32_t *of_four, const int32_t *three, const int32_t *four_, const uint16_t *rock_three, const uint16_t *rock_four,
+                                   const int32_t *of_four, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four,
                                    const double *moduli, const double *x, const double *inverse, const double *e, double kick,
                                    double drift, double *u, double *v, double *f) {
   double twice = 0.0;
+  four others = {0.0, 0.0, 0.0, 0.0};
   for (int32_t r = 0; r < ranges; r++) {
     if (top[r] > begun) {
       memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, 2 * sizeof(double) * (size_t)(top[r] - begun));
       begun = top[r];
     }
     for (int64_t k = of_three[r]; k < of_three[r + 1]; k++)
-      twice += triangle(three + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
+      twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
     for (int64_t k = of_four[r]; k < of_four[r + 1]; k++)
-      twice += quadrilateral(four_ + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f);
+      quadrilateral(quads + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f, &others);
     moved(node[r], node[r + 1], inverse, kick, drift, u, v, f);
   }
-  return twice;
+  return twice + ((others[0] + others[1]) + (others[2] + others[3]));
 }
 
 /* f -= K u of some cells of three and of four nodes. */
-FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t *three, const int32_t *four_, const uint16_t *rock_three,
+FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three,
                                    const uint16_t *rock_four, const double *moduli, const double *x, const double *u, double *f) {
   double twice = 0.0;
-  for (int64_t k = 0; k < threes; k++) twice += triangle(three + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
-  for (int64_t k = 0; k < fours; k++) twice += quadrilateral(four_ + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f);
-  return twice;
+  four others = {0.0, 0.0, 0.0, 0.0};
+  for (int64_t k = 0; k < threes; k++) twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
+  for (int64_t k = 0; k < fours; k++) quadrilateral(quads + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f, &others);
+  return twice + ((others[0] + others[1]) + (others[2] + others[3]));
 }
 
 FOR_MACHINES void fracflow_move(int32_t first, int32_t last, const double *inverse, double kick, double drift, double *u, double *v,
