@@ -12,53 +12,21 @@ import numpy as np
 from fracflow._petsc import PETSc, destroy
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.energy import added, joint_parts, joint_work
-from fracflow.model.joints import Joints, refuse_jumps
+from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Loads
-from fracflow.model.state import Forces, Motion, PreviousStep, SectionHistory, Sections, State, StepReport
+from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State, StepReport
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitCoupling
+from fracflow.solve.leapfrog.joints import JointSolver
 from fracflow.solve.leapfrog.local import by_nodes
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.request import StepRequest, on_the_way
 from fracflow.solve.residual import refuse_few, round_off_of_jumps, significant_digits
 
 SAME = 1e-14  # of the largest load: a difference by the order of sums
-
-
-@dataclass(frozen=True)
-class _Before:
-    """What ``SectionSolver`` reads of the state before a step."""
-
-    sections: Sections
-    pressure: PETSc.Vec
-
-
-@dataclass
-class _SectionStep:
-    """The joints in one step, as ``SectionSolver`` takes a problem."""
-
-    joints: Joints
-    state: _Before
-    request: StepRequest
-    time: float
-    dt: float
-    sections: Sections
-    trial_status: SectionHistory
-    pressure: PETSc.Vec
-
-    def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
-        """Response of the sections to strains (s, dim)."""
-        return self.joints.evaluate(strain, self.trial_status, LawStep(self.time, self.dt, True, hold))
-
-    def change_statuses(self) -> Bools:
-        """Give every section that has left its status the next one; return which (s,) did."""
-        reached = self.evaluate_joints(self.sections.strain, hold=False).history
-        changed = self.joints.have_changed(self.trial_status, reached)
-        self.trial_status = self.joints.with_status(self.state.sections.history, reached)
-        return changed
 
 
 class Leapfrog:
@@ -72,7 +40,8 @@ class Leapfrog:
     def __init__(self, coupling: ExplicitCoupling, scene: Scene, loads: Loads) -> None:
         """Find the nodes of everything. Collective."""
         self.nodes = Nodes(coupling.operators, scene, loads, coupling.damping)
-        self.coupling, self.digits = coupling, scene.accuracy.digits
+        clusters, accuracy = coupling.sections.clusters, scene.accuracy
+        self.joints, self.digits = JointSolver(coupling.operators, clusters, accuracy.max_iterations), accuracy.digits
         self.run = Run(self.nodes)
 
     def advance(self, state: State, request: StepRequest, count: int, then: float) -> tuple[State, StepReport] | None:
@@ -112,12 +81,10 @@ class Leapfrog:
         iterations, left = 0, 0.0
         if nodes.operators.blocks.sizes.joints:
             joints, free = nodes.operators.joints, run.free_strain()
-            before = _Before(run.sections, run.pressure)
-            trial = _SectionStep(joints, before, request, time, run.dt, run.sections, run.sections.history, run.pressure)
-            _, report = self.coupling.sections.solve(trial, free, joint_share(run.dt))
-            iterations, left = report.iterations, report.motion
-            run.pull(trial.sections)
-            refuse_jumps(nodes.operators.blocks, joints, before.sections, run.sections, time)
+            before = run.sections
+            found, iterations, left = self.joints.solve(before, free, joint_share(run.dt), LawStep(time, run.dt, True, request.hold))
+            run.pull(found)
+            refuse_jumps(nodes.operators.blocks, joints, before, run.sections, time)
         run.move(time, around, is_last)
         return iterations, left
 
@@ -184,7 +151,7 @@ class Run:
             rock.step(0.0, 0.0)
             self.sums = self._rock_sums()
         self.old_sums = self.sums
-        self.sections, self.pressure, self.friction = state.sections, state.pressure, state.friction
+        self.sections, self.friction = state.sections, state.friction
         self.load = forces.load.getArray(readonly=True)[nodes.changing.numbers]
         self.support = forces.support.getArray(readonly=True)[nodes.held]
         zero = np.zeros(len(nodes.own))
