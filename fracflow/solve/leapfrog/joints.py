@@ -52,7 +52,11 @@ class JointSolver:
         Raises NotConverged, on every rank. Collective.
         """
         self._scale(share)
-        joints, comm, held = self.operators.joints, self.operators.layout.comm, LawStep(step.time, step.dt, step.inertia, True)
+        joints, comm, held = (
+            self.operators.joints,
+            self.operators.layout.comm,
+            LawStep(step.time, step.dt, step.inertia, True),
+        )
         status, change = before.history, np.zeros_like(free)
         left, moduli = free, self._weights[:, :, None] * before.tangent
         rounds = since = total = 0
@@ -96,7 +100,9 @@ class JointSolver:
     def _with_status(self, before: Sections, found: Sections) -> SectionHistory:
         return self.operators.joints.with_status(before.history, found.history)
 
-    def _balance(self, before: Sections, free: Floats, change: Floats, answer: Sections) -> tuple[Floats, Floats, Floats]:
+    def _balance(
+        self, before: Sections, free: Floats, change: Floats, answer: Sections
+    ) -> tuple[Floats, Floats, Floats]:
         """What is left (s, dim) of the motion of sections, W D (s, dim, dim), and sizes of the terms (s, dim). Collective."""
         weights = self._weights
         moduli = weights[:, :, None] * answer.tangent

@@ -49,7 +49,7 @@ class LocalMatrix:
 
 def touched(matrix: PETSc.Mat) -> Ints:
     """Numbers (n,) of this rank's unknowns with an entry in a column of a matrix, in its own counting. Collective."""
-    (x, y), (start, stop) = matrix.createVecs(), matrix.getOwnershipRange()
+    x, y = matrix.createVecs()
     indptr, indices, values = matrix.getValuesCSR()
     csr = (indptr, indices, np.where(values != 0.0, 1.0, 0.0))
     ones = PETSc.Mat().createAIJ(matrix.getSizes(), csr=csr, comm=matrix.getComm())
@@ -87,13 +87,17 @@ class ChangingLoads:
     def __init__(self, loads: Loads, layout: Layout) -> None:
         """Divide them."""
         self.loads = loads
-        self._changes = [i for i, each in enumerate(loads.forces) if each.control is not None or not _is_constant(each.value)]
+        self._changes = [
+            i for i, each in enumerate(loads.forces) if each.control is not None or not _is_constant(each.value)
+        ]
         patterns = [loads.forces[i].vector.getArray(readonly=True) for i in self._changes]
         is_loaded: Bools = np.zeros(layout.solid_count, dtype=bool)
         for pattern in patterns:
             is_loaded |= pattern != 0.0
         self.numbers = np.flatnonzero(is_loaded)
-        self._patterns = np.array([pattern[self.numbers] for pattern in patterns]).reshape(len(patterns), len(self.numbers))
+        self._patterns = np.array([pattern[self.numbers] for pattern in patterns]).reshape(
+            len(patterns), len(self.numbers)
+        )
         self._layout = layout
 
     def constant(self, time: float, controls: dict[str, float], around: Around, anchor: PETSc.Vec | None) -> PETSc.Vec:

@@ -67,7 +67,9 @@ class Nodes:
 
         self.jump = LocalMatrix(joints.jump, touched(joints.jump), square=False)
         self.sizes = LocalMatrix(joints.sizes, self.jump.numbers, square=False)
-        self.damping = {name: LocalMatrix(each.matrix, touched(each.matrix), square=True) for name, each in damping.items()}
+        self.damping = {
+            name: LocalMatrix(each.matrix, touched(each.matrix), square=True) for name, each in damping.items()
+        }
         self.springs = {
             term.name: LocalMatrix(term.stiffness, touched(term.stiffness), square=True)
             for term in operators.terms

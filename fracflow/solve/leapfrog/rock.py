@@ -18,9 +18,9 @@ from fracflow.model.operators import Operators
 from fracflow.model.solid import elasticity
 from fracflow.scene.scene import Scene
 from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
 
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
-NEAR = 4096  # mean distance in memory of the nodes of a cell, from which on they are put into another order
 
 
 class Rock(Protocol):
@@ -59,7 +59,7 @@ class Rock(Protocol):
         ...
 
     def stop(self) -> None:
-        """a = f/m where forces alone move a node."""
+        """Set a = f/m where forces alone move a node."""
         ...
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
@@ -94,8 +94,8 @@ class Cells:
         block, count = blocks.solid, len(blocks.solid.points)
         cells = np.full((len(block.cells), 4), -1)
         cells[:, : block.cells.shape[1]] = block.cells
-        late, beside = _late(blocks, cells)
-        order = _order(cells, block.owned, late)
+        late, beside = late_nodes(blocks, cells)
+        order = order_of_sweep(cells, block.owned, late)
         place = np.empty(count, dtype=np.int64)
         place[order] = np.arange(count)
         self.owned, self._early = block.owned, block.owned - int(late.sum())
@@ -105,7 +105,9 @@ class Cells:
         self.u, self.v, self.a, self.f, self.e = (np.zeros(2 * count) for _ in range(5))
         self._w, self._mass = np.zeros(count), np.zeros(2 * block.owned)
         moduli = elasticity(blocks, scene)
-        kinds, rock = np.unique(np.stack([moduli[:, 0, 0], moduli[:, 0, 1], moduli[:, 2, 2]], 1), axis=0, return_inverse=True)
+        kinds, rock = np.unique(
+            np.stack([moduli[:, 0, 0], moduli[:, 0, 1], moduli[:, 2, 2]], 1), axis=0, return_inverse=True
+        )
         self._moduli, rock = np.ascontiguousarray(kinds), rock.ravel().astype(np.uint16)
         cells = np.where(cells >= 0, place[cells], -1)
         lowest = np.where(cells >= 0, cells, count).min(axis=1)
@@ -143,7 +145,7 @@ class Cells:
         comm, block = blocks.comm, blocks.solid
         if comm.size == 1:
             return
-        of_owner = _at_ghosts(blocks, place[: block.owned].astype(float)).astype(np.int64)
+        of_owner = at_ghosts(blocks, place[: block.owned].astype(float)).astype(np.int64)
         ghosts = block.node_global[block.owned :]
         numbers = of_owner + block.node_starts[owner_of(block.node_starts, ghosts)]
         wanted = (2 * numbers[:, None] + np.arange(2)).ravel()
@@ -159,124 +161,6 @@ class Cells:
         scatter = PETSc.Scatter().create(u[0], chosen, u[1], None)
         chosen.destroy()
         self._way = (u, force, scatter)
-
-    def hold(self, held: Bools, mass: Floats) -> None:
-        """Take masses (n,) of the local unknowns; the held ones (n,) are not moved by forces."""
-        ...
-
-    def begin(self, vector: PETSc.Vec, values: Floats) -> None:
-        """Read the local values of a vector into one of the arrays."""
-        ...
-
-    def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays into a vector."""
-        ...
-
-    def start(self, dt: float) -> None:
-        """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
-        ...
-
-    def step(self, kick: float, drift: float) -> None:
-        """One step of all unknowns. Collective."""
-        ...
-
-    def stop(self) -> None:
-        """a = f/m where forces alone move a node."""
-        ...
-
-    def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values``, in the order of u."""
-        ...
-
-    def destroy(self) -> None:
-        """Free what is PETSc's. Collective."""
-        ...
-
-
-def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None) -> Rock:
-    """The rock of a scene by compiled loops, else by PETSc; ``springs`` is the K of terms. Collective."""
-    comm, loops = operators.layout.comm, library()
-    if comm.allreduce(int(loops is None)):
-        return AssembledRock(operators, springs)
-    return Cells(operators, scene)
-
-
-class Cells:
-    """Forces cell by cell, without a matrix; each node moves right after its last cell, while it is in the fastest memory.
-
-    On several ranks nodes of cells with ghosts come late: while their displacements travel, and the forces on ghosts travel
-    back, this rank makes the sweep of all others.
-    """
-
-    def __init__(self, operators: Operators, scene: Scene) -> None:
-        """Number nodes and cells. Collective."""
-        blocks, loops = operators.blocks, library()
-        assert loops is not None
-        self._loops, self.energy = loops, 0.0
-        block, count = blocks.solid, len(blocks.solid.points)
-        cells = np.full((len(block.cells), 4), -1)
-        cells[:, : block.cells.shape[1]] = block.cells
-        late, beside = _late(blocks, cells)
-        order = _order(cells, block.owned, late)
-        place = np.empty(count, dtype=np.int64)
-        place[order] = np.arange(count)
-        self.owned, self._early = block.owned, block.owned - int(late.sum())
-        self._order = np.ascontiguousarray(order[: block.owned], dtype=np.int32)
-        self.places = (2 * place[: block.owned, None] + np.arange(2)).ravel()
-        self._x = np.ascontiguousarray(block.points[order])
-        self.u, self.v, self.a, self.f, self.e = (np.zeros(2 * count) for _ in range(5))
-        self._w, self._mass = np.zeros(count), np.zeros(2 * block.owned)
-        moduli = elasticity(blocks, scene)
-        kinds, rock = np.unique(np.stack([moduli[:, 0, 0], moduli[:, 0, 1], moduli[:, 2, 2]], 1), axis=0, return_inverse=True)
-        self._moduli, rock = np.ascontiguousarray(kinds), rock.ravel().astype(np.uint16)
-        cells = np.where(cells >= 0, place[cells], -1)
-        lowest = np.where(cells >= 0, cells, count).min(axis=1)
-        swept = ~beside & (lowest < self._early)
-        self._swept = self._sorted(cells, rock, lowest, swept)
-        self._rest = self._sorted(cells, rock, lowest, ~swept)
-        self._ranges(lowest)
-        self._share(blocks, place)
-
-    def _sorted(self, cells: Ints, rock: Ints, lowest: Ints, chosen: Bools) -> list[np.ndarray]:
-        """Triangles, quadrilaterals and their rocks, in the order of their lowest nodes."""
-        found: list[np.ndarray] = []
-        for width in (3, 4):
-            here = np.flatnonzero(chosen & ((cells >= 0).sum(axis=1) == width))
-            here = here[np.argsort(lowest[here], kind="stable")]
-            found += [np.ascontiguousarray(cells[here, :width], dtype=np.int32), np.ascontiguousarray(rock[here])]
-        three, of_three, four, of_four = found
-        return [three, four, of_three, of_four]
-
-    def _ranges(self, lowest: Ints) -> None:
-        node = np.append(np.arange(0, self._early, RANGE), self._early).astype(np.int32)
-        top, starts = node[1:].copy(), []
-        for cells in self._swept[:2]:
-            first = np.searchsorted(cells.min(axis=1, initial=self.owned), node).astype(np.int32)
-            highest = np.maximum.accumulate(np.concatenate([[0], cells.max(axis=1, initial=-1) + 1]))
-            top = np.maximum(top, highest[first[1:]])
-            starts.append(first)
-        top = np.minimum(np.maximum.accumulate(top), self._early).astype(np.int32)
-        self._middle = len(top) // 2
-        self._sweep = [node, top, *starts]
-
-    def _share(self, blocks: Blocks, place: Ints) -> None:
-        """Make the way of ghost values between ranks."""
-        self._way: tuple[list[PETSc.Vec], list[PETSc.Vec], PETSc.Scatter] | None = None
-        comm, block = blocks.comm, blocks.solid
-        if comm.size == 1:
-            return
-        of_owner = _at_ghosts(blocks, place[: block.owned].astype(float)).astype(np.int64)
-        ghosts = block.node_global[block.owned :]
-        numbers = of_owner + block.node_starts[owner_of(block.node_starts, ghosts)]
-        wanted = (2 * numbers[:, None] + np.arange(2)).ravel()
-        size = (2 * block.owned, 2 * int(block.node_starts[-1]))
-        own = [PETSc.Vec().createWithArray(each[: 2 * block.owned], size=size, comm=comm) for each in (self.u, self.f)]
-        out = [PETSc.Vec().createWithArray(each[2 * block.owned :], comm=PETSc.COMM_SELF) for each in (self.u, self.f)]
-        chosen = PETSc.IS().createGeneral(petsc_ints(wanted), comm=PETSc.COMM_SELF)
-        every = PETSc.IS().createStride(len(wanted), 0, 1, comm=PETSc.COMM_SELF)
-        scatter = PETSc.Scatter().create(own[0], chosen, out[0], every)
-        destroy(chosen, every)
-        self._way = (own[0], out[0], own[1], out[1], scatter)
 
     def hold(self, held: Bools, mass: Floats) -> None:
         """Take masses (n,) of the local unknowns; nodes with held unknowns (n,) are not moved by forces."""
@@ -298,7 +182,7 @@ class Cells:
         self._loops.fracflow_start(self.owned, 0.5 * dt, dt, *map(address, (self.a, self.u, self.v)))
 
     def stop(self) -> None:
-        """a = f/m where forces alone move a node."""
+        """Set a = f/m where forces alone move a node."""
         self._loops.fracflow_stop(self.owned, *map(address, (self._w, self.f, self.a)))
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
@@ -315,7 +199,8 @@ class Cells:
             self.energy = 0.5 * self._swept_by(0, ranges, kick, drift)
             return
         u, force, scatter = self._way
-        forward, back = ("insert", "forward"), ("add", "reverse")
+        insert, add, ways = PETSc.InsertMode.INSERT, PETSc.InsertMode.ADD, PETSc.ScatterMode
+        forward, back = (insert, ways.FORWARD), (add, ways.REVERSE)
         self.f[early:owned], self.f[owned:] = self.e[early:owned], 0.0
         scatter.scatterBegin(u[0], u[1], *forward)
         twice = self._swept_by(0, ranges // 2, kick, drift)
@@ -387,7 +272,7 @@ class AssembledRock:
         self.u += dt * self.v
 
     def stop(self) -> None:
-        """a = f/m where forces alone move a node."""
+        """Set a = f/m where forces alone move a node."""
         np.copyto(self.a, self._w * self.f, where=self._w > 0.0)
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
@@ -406,60 +291,3 @@ class AssembledRock:
     def destroy(self) -> None:
         """Free the matrix. Collective."""
         destroy(self._matrix, *self._vectors)
-
-
-def _late(blocks: Blocks, cells: Ints) -> tuple[Bools, Bools]:
-    """Nodes (n,) of cells with ghosts, or that other ranks have as ghosts; and those cells (m,). Collective."""
-    block, count = blocks.solid, len(blocks.solid.points)
-    late, beside = np.zeros(count, dtype=bool), np.zeros(len(cells), dtype=bool)
-    if blocks.comm.size > 1:
-        numbers = petsc_ints(block.node_global)
-        whole = PETSc.Vec().createMPI((block.owned, blocks.sizes.nodes), comm=blocks.comm)
-        whole.setValues(numbers[block.owned :], np.ones(count - block.owned), addv=PETSc.InsertMode.ADD)
-        whole.assemble()
-        late[: block.owned] = whole.getArray() > 0.0
-        whole.destroy()
-        late[block.owned :] = True
-        beside = ((cells >= block.owned) & (cells >= 0)).any(axis=1)
-        late[cells[beside][cells[beside] >= 0]] = True
-    late[block.owned :] = False
-    return late, beside
-
-
-def _at_ghosts(blocks: Blocks, values: Floats) -> Floats:
-    """What the owners of this rank's ghosts have there, of values (n,) at owned nodes. Collective."""
-    block = blocks.solid
-    whole = PETSc.Vec().createMPI((block.owned, blocks.sizes.nodes), comm=blocks.comm)
-    whole.setArray(values)
-    chosen = PETSc.IS().createGeneral(petsc_ints(block.node_global[block.owned :]), comm=PETSc.COMM_SELF)
-    found, scatter = _gathered(whole, chosen)
-    result: Floats = found.getArray().copy()
-    destroy(whole, chosen, found, scatter)
-    return result
-
-
-def _gathered(whole: PETSc.Vec, chosen: PETSc.IS) -> tuple[PETSc.Vec, PETSc.Scatter]:
-    found = PETSc.Vec().createSeq(chosen.getLocalSize())
-    scatter = PETSc.Scatter().create(whole, chosen, found, None)
-    scatter.scatter(whole, found)
-    return found, scatter
-
-
-def _order(cells: Ints, owned: int, late: Bools) -> Ints:
-    """Local nodes (n,) in the order of a sweep: those that come late behind the others, ghosts last.
-
-    As they are numbered, where nodes of a cell are near each other in memory; else by reverse Cuthill and McKee.
-    """
-    count = len(late)
-    lowest = np.where(cells >= 0, cells, count).min(axis=1, initial=count)
-    order = np.arange(owned)
-    if len(cells) and float((cells.max(axis=1) - lowest).mean()) > NEAR:
-        from scipy.sparse.csgraph import reverse_cuthill_mckee  # imports much
-
-        width = cells.shape[1]
-        pairs = [np.stack([cells[:, i], cells[:, j]], 1) for i in range(width) for j in range(width) if i != j]
-        row, col = np.concatenate(pairs).T
-        inside = (row >= 0) & (col >= 0) & (row < owned) & (col < owned)
-        graph = sparse.csr_matrix((np.ones(inside.sum()), (row[inside], col[inside])), shape=(owned, owned))
-        order = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True), dtype=np.int64)
-    return np.concatenate([order[~late[order]], order[late[order]], np.arange(owned, count)])

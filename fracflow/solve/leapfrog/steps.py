@@ -82,7 +82,9 @@ class Leapfrog:
         if nodes.operators.blocks.sizes.joints:
             joints, free = nodes.operators.joints, run.free_strain()
             before = run.sections
-            found, iterations, left = self.joints.solve(before, free, joint_share(run.dt), LawStep(time, run.dt, True, request.hold))
+            found, iterations, left = self.joints.solve(
+                before, free, joint_share(run.dt), LawStep(time, run.dt, True, request.hold)
+            )
             run.pull(found)
             refuse_jumps(nodes.operators.blocks, joints, before, run.sections, time)
         run.move(time, around, is_last)
@@ -115,7 +117,7 @@ class Rock:
 
     strain    strain energy;  ``springs`` that of the K of terms
     moving    m v^2;  ``pushed`` m a^2 where it is free
-    prestress, constant  work of the initial stress, and of loads that stay, on displacements
+    prestress, constant  work of the initial stress on displacements, and of loads where none changes
     """
 
     strain: float
@@ -146,7 +148,9 @@ class Run:
         self.last = None
         if is_new:
             motion = state.motion
-            for vector, values in zip((motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True):
+            for vector, values in zip(
+                (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
+            ):
                 rock.begin(vector, values)
             rock.step(0.0, 0.0)
             self.sums = self._rock_sums()
@@ -156,7 +160,9 @@ class Run:
         self.support = forces.support.getArray(readonly=True)[nodes.held]
         zero = np.zeros(len(nodes.own))
         self.resisting = {
-            term.name: forces.of_terms[term.name].getArray(readonly=True)[nodes.own] if term.name in forces.of_terms else zero
+            term.name: forces.of_terms[term.name].getArray(readonly=True)[nodes.own]
+            if term.name in forces.of_terms
+            else zero
             for term in nodes.acting
         }
         self.damped = {
@@ -186,7 +192,9 @@ class Run:
             constant.destroy()
             return False
         self.rock.begin(constant, self.constant)
-        self.loaded = np.flatnonzero(self.constant)
+        changes = nodes.places[nodes.at_loads]
+        self.beside = self.constant[changes]
+        self.loaded = np.setdiff1d(np.flatnonzero(self.constant), changes)
         np.subtract(self.constant, nodes.prestress, out=self.rock.e)
         self.base = self.rock.e[nodes.places]
         constant.destroy()
@@ -211,7 +219,7 @@ class Run:
         self.v = self.rock.v[nodes.places]
         self.added = np.zeros(len(self.v))  # to displacements, beside dt v
         self.pushed = np.zeros(len(self.v))  # change of the forces of loads and joints
-        load = nodes.changing.changing(time, controls, around)
+        load = self.beside + nodes.changing.changing(time, controls, around)
         self.pushed[nodes.at_loads] += load - self.load
         self.old_load, self.load = self.load, load
         self.added += joint_share(dt) * nodes.inverse * self.pushed
@@ -247,7 +255,7 @@ class Run:
         rock.u[places] += self.added
         rock.u[places[nodes.at_held]] = self.held_at
         force = self.base.copy()
-        force[nodes.at_loads] += self.load
+        force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
         force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.sections.traction).ravel())
         old_damped = self.damped
         self.damped = {name: each.times(self.moved[nodes.at_damped[name]]) / dt for name, each in nodes.damping.items()}
@@ -336,7 +344,9 @@ class Run:
         nodes, rock, layout = self.nodes, self.rock, self.nodes.operators.layout
         rock.stop()
         motion = Motion(*(layout.solid_vector() for _ in range(3)))
-        for vector, values in zip((motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True):
+        for vector, values in zip(
+            (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
+        ):
             rock.end(values, vector)
 
         def at(numbers: Ints, values: Floats) -> PETSc.Vec:
