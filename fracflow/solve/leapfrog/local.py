@@ -100,6 +100,11 @@ class ChangingLoads:
         )
         self._layout = layout
 
+    @property
+    def is_any(self) -> bool:
+        """Whether any load of the scene changes."""
+        return bool(self._changes)
+
     def constant(self, time: float, controls: dict[str, float], around: Around, anchor: PETSc.Vec | None) -> PETSc.Vec:
         """The part that stays (n,), with an anchor, in a new vector."""
         result, factors = self._layout.solid_vector(), self.loads.factors(time, controls, around)

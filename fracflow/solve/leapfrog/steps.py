@@ -356,7 +356,7 @@ class Run:
 
         old = state.forces
         load = copy(old.load)
-        if len(nodes.changing.numbers):
+        if nodes.changing.is_any:  # on all ranks alike: they agree on whether the size of a vector is known
             load = old.load.copy()
             load.getArray()[nodes.changing.numbers] = self.load
         of_terms = {name: at(nodes.own, values) for name, values in self.resisting.items()}
