@@ -92,9 +92,9 @@ class ExplicitSubsteps:
         ahead = dt if request.next_length is None else request.next_length
         then = ahead / self.explicit.count(ahead) if ahead > 0.0 else 0.0
         steps = self.explicit.leapfrog
-        found = steps.advance(state, request, count, then) if steps is not None else None
-        if found is not None:
-            return Outcome(*found, request.end)
+        made = steps.advance(state, request, count, then) if steps is not None else None
+        if made is not None:
+            return Outcome(*made, request.end)
         if count == 1:
             return self.inner.advance(state, request)
         now, total = state, StepReport()

@@ -124,7 +124,7 @@ class Loads:
         _sum(self.forces, time, controls, result, around, rates)
 
     def factors(self, time: float, controls: Controls, around: Around = AT_ONCE) -> list[float]:
-        """What each of ``forces`` is multiplied by at a time; as above, without ``rates``."""
+        """Factor of each of ``forces`` at a time; as above, without ``rates``."""
         return [_factor(pattern, time, controls, around) for pattern in self.forces]
 
     def initial_force(self, result: PETSc.Vec) -> None:

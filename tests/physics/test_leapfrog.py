@@ -79,7 +79,10 @@ def write_mesh(path):
     x, y = (each.ravel() for each in np.meshgrid(np.arange(across + 1) * side, np.arange(up + 1) * side))
     is_free = (x > 0) & (x < side * across) & (y > 0) & (y < side * up) & (y != 500.0)
     shift = 0.15 * side * np.random.default_rng(1).uniform(-1.0, 1.0, (2, len(x))) * is_free
-    at = lambda i, j: j * (across + 1) + i + 1
+
+    def at(i, j):
+        return j * (across + 1) + i + 1
+
     cells = []
     for j in range(up):
         for i in range(across):
@@ -120,7 +123,9 @@ def assert_alike(one, other, within):
         if name.startswith("probe/"):
             kind = name.rsplit("/", 1)[-1]
             size = max(np.nanmax(np.abs(one[key]), initial=0.0) for key in one if key.endswith(kind))
-            assert np.nanmax(np.abs(values - other[name]), initial=0.0) <= within * max(size, SIZES.get(kind, 0.0)), name
+            assert np.nanmax(np.abs(values - other[name]), initial=0.0) <= within * max(size, SIZES.get(kind, 0.0)), (
+                name
+            )
 
 
 @pytest.mark.serial

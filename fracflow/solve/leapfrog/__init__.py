@@ -1,1 +1,1 @@
-"""Explicit steps in one sweep through memory: what moves in a step, and the few nodes where more than rock acts."""
+"""Explicit steps of rock without a fluid, each in one sweep through memory; see ``steps.Leapfrog``."""

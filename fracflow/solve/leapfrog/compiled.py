@@ -46,6 +46,6 @@ def library() -> ctypes.CDLL | None:
 
 
 def address(values: NDArray[np.generic]) -> int:
-    """Where an array begins; it must stay alive while the address is used."""
+    """Address of an array (...), which must stay alive while that is used."""
     assert values.flags.c_contiguous
     return values.ctypes.data

@@ -103,7 +103,7 @@ class JointSolver:
     def _balance(
         self, before: Sections, free: Floats, change: Floats, answer: Sections
     ) -> tuple[Floats, Floats, Floats]:
-        """What is left (s, dim) of the motion of sections, W D (s, dim, dim), and sizes of the terms (s, dim). Collective."""
+        """Residual (s, dim) of the motion of sections, W D (s, dim, dim), and sizes of the terms (s, dim). Collective."""
         weights = self._weights
         moduli = weights[:, :, None] * answer.tangent
         push = weights * (answer.traction - before.traction)

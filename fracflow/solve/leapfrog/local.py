@@ -1,6 +1,8 @@
-"""What acts on a few nodes of the rock in an explicit step: sparse products on their unknowns alone."""
+"""Sparse products on the unknowns of a few nodes of the rock alone, and loads that change."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -37,7 +39,7 @@ class LocalMatrix:
         return self._y.getArray().copy()
 
     def transposed(self, values: Floats) -> Floats:
-        """The product of its transpose with values of the rows. Collective."""
+        """The product (n,) of its transpose with values (m,) of the rows. Collective."""
         self._y.getArray()[:] = values
         self._matrix.multTranspose(self._y, self._x)
         return self._x.getArray().copy()
@@ -78,7 +80,8 @@ def at_nodes(matrix: PETSc.Mat, nodes: Ints) -> Floats | None:
 def by_nodes(blocks: Floats, values: Floats) -> Floats:
     """Blocks (n, 2, 2) times values (2 n,)."""
     x, y = values[::2], values[1::2]
-    return np.stack([blocks[:, 0, 0] * x + blocks[:, 0, 1] * y, blocks[:, 1, 0] * x + blocks[:, 1, 1] * y], 1).ravel()
+    rows = blocks[:, 0, 0] * x + blocks[:, 0, 1] * y, blocks[:, 1, 0] * x + blocks[:, 1, 1] * y
+    return np.stack(rows, axis=1).ravel()
 
 
 class ChangingLoads:
@@ -105,7 +108,9 @@ class ChangingLoads:
         """Whether any load of the scene changes."""
         return bool(self._changes)
 
-    def constant(self, time: float, controls: dict[str, float], around: Around, anchor: PETSc.Vec | None) -> PETSc.Vec:
+    def constant(
+        self, time: float, controls: Mapping[str, float], around: Around, anchor: PETSc.Vec | None
+    ) -> PETSc.Vec:
         """The part that stays (n,), with an anchor, in a new vector."""
         result, factors = self._layout.solid_vector(), self.loads.factors(time, controls, around)
         for i, pattern in enumerate(self.loads.forces):
@@ -115,7 +120,7 @@ class ChangingLoads:
             result.axpy(1.0, anchor)
         return result
 
-    def changing(self, time: float, controls: dict[str, float], around: Around) -> Floats:
+    def changing(self, time: float, controls: Mapping[str, float], around: Around) -> Floats:
         """The part that changes, (n,) at ``numbers``."""
         if not self._changes:
             return np.zeros(0)

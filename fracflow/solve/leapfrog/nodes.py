@@ -1,4 +1,4 @@
-"""What acts in an explicit step beside the rock, on the nodes that it acts on."""
+"""Nodes of an explicit step on which more than the rock acts: joints, supports, dashpots, damping, springs and loads."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Nodes:
         return np.searchsorted(self.every, numbers)
 
     def prescribed(self, value: Callable[[PrescribedValues], float | Floats]) -> Floats:
-        """A value of each support at its unknowns, one after the other as in ``held``."""
+        """Values (n,) of all supports at their unknowns, one after the other as in ``held``."""
         found = [np.broadcast_to(value(part), part.numbers.shape) for part in self.loads.supports if len(part.numbers)]
         return np.concatenate([np.zeros(0), *found])
 

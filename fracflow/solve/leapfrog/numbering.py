@@ -31,7 +31,7 @@ def late_nodes(blocks: Blocks, cells: Ints) -> tuple[Bools, Bools]:
 
 
 def at_ghosts(blocks: Blocks, values: Floats) -> Floats:
-    """What the owners of this rank's ghosts have there, of values (n,) at owned nodes. Collective."""
+    """Values (g,) of this rank's ghosts by their owners, of values (n,) at owned nodes. Collective."""
     block = blocks.solid
     whole = PETSc.Vec().createMPI((block.owned, blocks.sizes.nodes), comm=blocks.comm)
     whole.setArray(values)

@@ -43,11 +43,11 @@ class Rock(Protocol):
         ...
 
     def begin(self, vector: PETSc.Vec, values: Floats) -> None:
-        """Read the local values of a vector into one of the arrays."""
+        """Read the local values of a vector into one of the arrays (n,)."""
         ...
 
     def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays into a vector."""
+        """Write one of the arrays (n,) into a vector."""
         ...
 
     def start(self, dt: float) -> None:
@@ -63,7 +63,7 @@ class Rock(Protocol):
         ...
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values``, in the order of u."""
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
         ...
 
     def destroy(self) -> None:
@@ -169,12 +169,12 @@ class Cells:
         self._mass[self.places] = mass
 
     def begin(self, vector: PETSc.Vec, values: Floats) -> None:
-        """Read the local values of a vector into one of the arrays."""
+        """Read the local values of a vector into one of the arrays (n,)."""
         given = vector.getArray(readonly=True)
         self._loops.fracflow_take(self.owned, address(self._order), address(given), address(values))
 
     def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays into a vector."""
+        """Write one of the arrays (n,) into a vector."""
         self._loops.fracflow_give(self.owned, address(self._order), address(values), address(vector.getArray()))
 
     def start(self, dt: float) -> None:
@@ -186,7 +186,7 @@ class Cells:
         self._loops.fracflow_stop(self.owned, *map(address, (self._w, self.f, self.a)))
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values``, in the order of u."""
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
         found = np.zeros(3)
         self._loops.fracflow_sums(self.owned, *map(address, (self._mass, self.v, self.a, values, self.u, found)))
         moving, pushed, work = found.tolist()
@@ -259,11 +259,11 @@ class AssembledRock:
         self._mass = mass
 
     def begin(self, vector: PETSc.Vec, values: Floats) -> None:
-        """Read the local values of a vector into one of the arrays."""
+        """Read the local values of a vector into one of the arrays (n,)."""
         values[:] = vector.getArray(readonly=True)
 
     def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays into a vector."""
+        """Write one of the arrays (n,) into a vector."""
         vector.getArray()[:] = values
 
     def start(self, dt: float) -> None:
@@ -276,7 +276,7 @@ class AssembledRock:
         np.copyto(self.a, self._w * self.f, where=self._w > 0.0)
 
     def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values``, in the order of u."""
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
         return float(self._mass @ self.v**2), float(self._mass @ self.a**2), float(values @ self.u)
 
     def step(self, kick: float, drift: float) -> None:

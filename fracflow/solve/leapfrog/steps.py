@@ -30,7 +30,7 @@ SAME = 1e-14  # of the largest load: a difference by the order of sums
 
 
 class Leapfrog:
-    """Explicit steps of a scene that ``nodes.takes``; see ``advance``.
+    """Explicit steps of a scene for which ``nodes.takes`` holds; see ``advance``.
 
     Velocities go from the middle of a step to that of the next. They meet displacements at the instants of states alone, so
     that steps between states need a single sweep. Energies of the rock are known at those instants. What joints, sides,
@@ -380,7 +380,7 @@ class Run:
         )
 
     def _parts(self) -> dict[str, float]:
-        """What the steps add to the energy balance. Collective."""
+        """Entries that the steps add to the energy balance. Collective."""
         nodes, books, before, after = self.nodes, self.books, self.old_sums, self.sums
         assert before is not None and after is not None
         here = {f"taken {term.name}": books.taken.get(term.name, 0.0) for term in nodes.operators.terms}
