@@ -1,7 +1,7 @@
 """The compiled loops of ``rock.c``, which setting up makes where there is a compiler.
 
-C and not numba: both take the same time, but numba brings 160 MB, an import of .4 s, and compiles in each new environment. The
-loops need no header but C's own, and are called through ctypes.
+C and not numba, which takes 2.0 times as long on quadrilaterals and 1.3 times on triangles. It also brings 160 MB, and
+compiles for 4 s in each new environment. The loops need no header but C's own, and are called through ctypes.
 """
 
 from __future__ import annotations

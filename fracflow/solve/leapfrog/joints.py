@@ -1,5 +1,6 @@
-"""Joints at the end of an explicit step without a fluid: e = e_free - S G M^-1 G' W (f(e) - f_old), cluster by cluster.
+"""Joints at the end of an explicit step without a fluid, cluster by cluster.
 
+They solve e = e_free - S G M^-1 G' W (f(e) - f_old).
 As in ``sections``, with fewer evaluations of the laws. The first trial follows from the tangents of the last step. Laws may
 change statuses at each trial; while none does, what they answer is also that of the statuses held.
 """

@@ -34,7 +34,7 @@ def takes(operators: Operators) -> bool:
 
 
 class Nodes:
-    """Local numbers of unknowns, ``own`` and the like, and their places in ``every``, a list of all that need more than a mass.
+    """Local numbers of unknowns, ``own`` and the like. Their places are in ``every``, which lists all.
 
     own     those of nodes with supports or dashpots, whose accelerations are found apart from the rest
     mass    (n,) of all local unknowns; ``inverse`` of those in ``every``, 0 where held

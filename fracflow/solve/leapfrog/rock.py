@@ -1,7 +1,7 @@
 """The rock in an explicit step: forces of its cells, and the motion of its nodes.
 
 Arrays hold two values a node, in an order of their own. ``w`` is 1/m, 0 where other things than a mass decide how an unknown
-moves. A step takes f = e - K u, v += kick f/m, u += drift v, where e are outer forces and v the velocity at its middle.
+moves. Outer forces are e. A step takes f = e - K u; v += kick f/m; u += drift v. Velocities v are those at its middle.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None) -> Ro
 class Cells:
     """Forces cell by cell, without a matrix; each node moves right after its last cell, while it is in the fastest memory.
 
-    On several ranks nodes of cells with ghosts come late: while their displacements travel, and the forces on ghosts travel
-    back, this rank makes the sweep of all others.
+    On several ranks nodes of cells with ghosts come late. Their displacements travel, and forces on ghosts travel back, while
+    this rank makes the sweep of all others.
     """
 
     def __init__(self, operators: Operators, scene: Scene) -> None:

@@ -30,11 +30,11 @@ SAME = 1e-14  # of the largest load: a difference by the order of sums
 
 
 class Leapfrog:
-    """Explicit steps of a scene for which ``nodes.takes`` holds; see ``advance``.
+    """Explicit steps of rock and joints without a fluid.
 
     Velocities go from the middle of a step to that of the next. They meet displacements at the instants of states alone, so
-    that steps between states need a single sweep. Energies of the rock are known at those instants. What joints, sides,
-    damping and loads take or bring is summed over all steps, on their own nodes.
+    that steps between states need a single sweep. Energies of the rock are known at those instants. The work of joints, sides,
+    damping and loads is summed over all steps, on their own nodes.
     """
 
     def __init__(self, coupling: ExplicitCoupling, scene: Scene, loads: Loads) -> None:
@@ -45,7 +45,7 @@ class Leapfrog:
         self.run = Run(self.nodes)
 
     def advance(self, state: State, request: StepRequest, count: int, then: float) -> tuple[State, StepReport] | None:
-        """The state after ``count`` equal steps, and what they cost; None where what acts does not allow these steps.
+        """The state after ``count`` equal steps, and their cost; None where other loads act than those it was made with.
 
         then  length of the step that follows [time]
         Raises SolveError, on every rank. Collective.
