@@ -81,7 +81,8 @@ def by_nodes(blocks: Floats, values: Floats) -> Floats:
     """Blocks (n, 2, 2) times values (2 n,)."""
     x, y = values[::2], values[1::2]
     rows = blocks[:, 0, 0] * x + blocks[:, 0, 1] * y, blocks[:, 1, 0] * x + blocks[:, 1, 1] * y
-    return np.stack(rows, axis=1).ravel()
+    result: Floats = np.stack(rows, axis=1).ravel().astype(float, copy=False)
+    return result
 
 
 class ChangingLoads:
