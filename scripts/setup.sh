@@ -10,6 +10,8 @@ _fracflow_test_packages="chromium fonts-dejavu-core"
 
 _fracflow_missing() {
   local package packages=$_fracflow_packages
+  # for the loops of explicit steps; where nobody may install it, PETSc takes their place
+  [ "$(id -u)" != 0 ] || command -v cc gcc >/dev/null || packages="$packages gcc libc6-dev"
   [ -z "${FRACFLOW_TESTS:-}" ] || packages="$packages $_fracflow_test_packages"
   for package in $packages; do
     # another Chromium serves too: Ubuntu has none among its packages
@@ -41,7 +43,7 @@ _fracflow_install_system() {
 }
 
 _fracflow_stamp() {
-  (cd "$_fracflow_root" && { cat scripts/constraints.txt ${1:-} scripts/setup.sh pyproject.toml
+  (cd "$_fracflow_root" && { cat scripts/constraints.txt ${1:-} scripts/setup.sh pyproject.toml fracflow/solve/leapfrog/rock.c
     pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
 }
 

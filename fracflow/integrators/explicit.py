@@ -50,6 +50,21 @@ def velocity_after(motion: HasMotion, acceleration: Any, dt: float) -> Any:
     return motion.velocity + 0.5 * dt * (motion.acceleration + acceleration)
 
 
+def scheme_energy(dt: float, before: float, after: float) -> float:
+    """Change of -dt^2/8 a M a, from ``before`` to ``after`` in a M a: what the scheme takes up beside ``scheme_work``.
+
+    A step dissipates d M (a + a_new)/2 less the change of v M v/2. By the above its displacement d is dt (v + v_new)/2 +
+    dt^2/4 (a - a_new) + S M^-1 (r_new - r), so that this is the change of -dt^2/8 a M a, and dt^2/8 (r_new - r) (a + a_new).
+    Without r, v M v/2 + u K u/2 - dt^2/8 a M a stays as it is.
+    """
+    return -0.125 * dt**2 * (after - before)
+
+
+def scheme_work(dt: float, push: float) -> float:
+    """The part of it that a change of outer forces makes, by ``push`` = (r_new - r) (a + a_new)."""
+    return 0.125 * dt**2 * push
+
+
 def critical_step(eigenvalue: float) -> float:
     """2/omega of the largest eigenvalue omega^2 of M^-1 K_s [1/time^2]; infinite where no rock deforms [time]."""
     return 2.0 / math.sqrt(eigenvalue) if eigenvalue > 0.0 else math.inf

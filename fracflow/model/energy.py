@@ -18,7 +18,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
 from fracflow.model.operators import Operators
-from fracflow.model.state import State
+from fracflow.model.state import Sections, State
 from fracflow.model.terms.term import Term
 
 STORED = (
@@ -46,8 +46,11 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
     sent = ops.joints.radiated(old.sections, new.sections, LawStep(new.time, dt, scheme.inertia))
-    parts |= motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
-    _add_joints(ops, parts, old, new, sent)
+    work = joint_work(ops.joints.weights, old.sections, new.sections)
+    of_joints = ops.layout.comm.allreduce(np.append(work, ops.joints.weights @ sent))
+    parts |= joint_parts(of_joints[:4]) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
+    parts["friction"] -= of_joints[4]
+    parts["radiated"] = parts.get("radiated", 0.0) + of_joints[4]
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
@@ -60,8 +63,13 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
             _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     destroy(change, mean_pressure, mean_displacement, term)
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
-    return _with_residuals(totals)
+    return added(old.energy, parts)
+
+
+def added(totals: Mapping[str, float], parts: Mapping[str, float]) -> dict[str, float]:
+    """Totals after ``parts`` of a step, or of some."""
+    names = dict.fromkeys([*ENTRIES, *totals])
+    return _with_residuals({name: totals.get(name, 0.0) + parts.get(name, 0.0) for name in names})
 
 
 def _sum(first: float, a: PETSc.Vec, second: float, b: PETSc.Vec) -> PETSc.Vec:
@@ -152,20 +160,22 @@ def dissipated(old: State, new: State, sent: Floats | float = 0.0) -> Floats:
     return old.friction + 0.5 * work.sum(axis=1) - sent
 
 
-def _add_joints(ops: Operators, parts: dict[str, float], old: State, new: State, sent: Floats) -> None:
-    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two.
+def joint_work(weights: Floats, before: Sections, after: Sections) -> Floats:
+    """(2.27) with (2.33b): work (4,) on this rank's sections in a step, normal, elastic shear, plastic; and what they store.
 
-    Of the plastic work waves carry off ``sent`` (s,) [energy/area]. Collective.
+    weights  (s,) length or area that each stands for
     """
-    weights, before, after = ops.joints.weights[:, None], old.sections, new.sections
-    traction = 0.5 * weights * (before.traction + after.traction)
+    traction = 0.5 * weights[:, None] * (before.traction + after.traction)
     plastic = traction * (after.inelastic - before.inelastic)
     elastic = traction * (after.strain - before.strain) - plastic
-    stored = np.sum(ops.joints.weights * (after.stored - before.stored))
-    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored, ops.joints.weights @ sent])
-    normal, shear, friction, closed, waves = ops.layout.comm.allreduce(local)
-    parts |= {"joint_normal": normal, "joint_shear": shear, "joint_normal_closed": closed - shear}
-    parts |= {"friction": friction - waves, "radiated": parts.get("radiated", 0.0) + waves}
+    stored = np.sum(weights * (after.stored - before.stored))
+    return np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
+
+
+def joint_parts(work: Floats) -> dict[str, float]:
+    """Entries of the balance of that (4,), summed over all ranks; and the closed form of the first two."""
+    normal, shear, friction, closed = work.tolist()
+    return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
 
 
 def _fluid_parts(

@@ -124,6 +124,10 @@ class Loads:
         """``result`` = R(t) of (2.38), jumps and bends in time as ``TimeTable.around`` and ``bent`` say, or ``rates``."""
         _sum(self.forces, time, controls, result, around, rates)
 
+    def factors(self, time: float, controls: Controls, around: Around = AT_ONCE) -> list[float]:
+        """Factor of each of ``forces`` at a time; as above, without ``rates``."""
+        return [_factor(pattern, time, controls, around) for pattern in self.forces]
+
     def initial_force(self, result: PETSc.Vec) -> None:
         """``result`` = the part of R that the initial stress of the cut-off rock makes."""
         _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)

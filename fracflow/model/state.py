@@ -32,9 +32,14 @@ class Motion:
     velocity: PETSc.Vec
     acceleration: PETSc.Vec
 
+    @property
+    def vectors(self) -> tuple[PETSc.Vec, PETSc.Vec, PETSc.Vec]:
+        """Its three parts."""
+        return self.displacement, self.velocity, self.acceleration
+
     def values(self) -> MotionValues:
         """This rank's share as arrays, to read."""
-        return MotionValues(*(v.getArray(readonly=True) for v in (self.displacement, self.velocity, self.acceleration)))
+        return MotionValues(*(v.getArray(readonly=True) for v in self.vectors))
 
     def copy(self) -> Motion:
         """The same in vectors of its own."""

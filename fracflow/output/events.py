@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time as time_of_process
 from typing import Any
 
 import numpy as np
@@ -63,10 +64,15 @@ class _Running:
     peak_rate: Floats
 
 
+SHARE = 100.0  # of the CPU time that writing the file takes, where that is ``LONG``, lie between two such times
+LONG = 2e-3  # [s]
+
+
 class EventLog:
     """Log of events: one is a fracture node from its first slipping (or open) section to none.
 
-    path          the CSV file, rewritten as a whole when an event starts or ends
+    path          the CSV file, rewritten as a whole when an event starts or ends. Where that takes long, it may be behind:
+                  ``SHARE`` times as long lie between; after the last step it has all
     nodes         static table of the n fracture nodes
     plastic_slip  (n, dim-1) before the first update; zero if not given [length]
     tangents      dim-1
@@ -80,6 +86,7 @@ class EventLog:
         self.nodes = nodes
         self.rows: list[dict[str, Any]] = []
         self._lines: dict[int, str] = {}  # of rows that have ended, which stay as they are
+        self._rest = self._written = 0.0
         self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
         count = len(nodes.node)
         self._running = {kind: _Running(np.full(count, -1), np.zeros(self._shape), np.zeros(count)) for kind in _KINDS}
@@ -118,7 +125,7 @@ class EventLog:
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
             self._start(kind, i, began, time)
         self._plastic_slip = plastic_slip
-        if changed or starts:
+        if (changed or starts) and time_of_process() - self._written >= self._rest:
             self._write()
         return changed or bool(starts)
 
@@ -181,6 +188,7 @@ class EventLog:
         row["peak_slip_rate"] = float(running.peak_rate[i])
 
     def _write(self, besides: Sequence[dict[str, Any]] = ()) -> None:
+        began = time_of_process()
         for kind, running in self._running.items():
             for i in np.flatnonzero(running.row >= 0):
                 self._measure(kind, int(i), self._plastic_slip)
@@ -198,6 +206,9 @@ class EventLog:
                 self._lines[number] = text.getvalue()[begin:]
         table.writerows(besides)
         write_atomic(self.path, text.getvalue())
+        self._written = time_of_process()
+        spent = self._written - began
+        self._rest = SHARE * spent if spent > LONG else 0.0
 
 
 def columns_of(tangents: int) -> tuple[str, ...]:

@@ -1,0 +1,156 @@
+/* (2.39) Forces of cells of plane rock, and steps of its nodes by central differences, in one sweep through memory.
+
+   Arrays of two values a node: places x, displacements u, velocities v at the middle of steps, forces f, outer forces e. Moduli
+   d of a rock: D_xx, D_xy, and D_ss of its shear, times engineering shear strain. A cell is a row of nodes and the number of its
+   rock. Each function of a cell takes K u off f, and finds twice the strain energy of the cell. */
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__gnu_linux__)
+#define FOR_MACHINES __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define FOR_MACHINES
+#endif
+#define INLINE static inline __attribute__((always_inline))
+
+const int fracflow_leapfrog_version = 1;
+
+typedef double two __attribute__((vector_size(16), aligned(8)));
+typedef double four __attribute__((vector_size(32)));
+typedef long long places __attribute__((vector_size(32)));
+
+INLINE double triangle(const int32_t *cell, const double *d, const double *x, const double *u, double *f) {
+  const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2];
+  const double x1 = x[j] - x[i], y1 = x[j + 1] - x[i + 1], x2 = x[k] - x[i], y2 = x[k + 1] - x[i + 1];
+  const double u1 = u[j] - u[i], v1 = u[j + 1] - u[i + 1], u2 = u[k] - u[i], v2 = u[k + 1] - u[i + 1];
+  const double w = 0.5 / (x1 * y2 - x2 * y1);
+  const double xx = u1 * y2 - u2 * y1, yy = x1 * v2 - x2 * v1, xy = x1 * u2 - x2 * u1 + v1 * y2 - v2 * y1;
+  const double s = w * (d[0] * xx + d[1] * yy), t = w * (d[1] * xx + d[0] * yy), h = w * d[2] * xy;
+  const double jx = s * y2 - h * x2, jy = h * y2 - t * x2, kx = h * x1 - s * y1, ky = t * x1 - h * y1;
+  f[i] += jx + kx, f[i + 1] += jy + ky;
+  f[j] -= jx, f[j + 1] -= jy;
+  f[k] -= kx, f[k + 1] -= ky;
+  return s * xx + t * yy + h * xy;
+}
+
+/* A field of corner values p has slopes (p_1 + p_3 eta)/4 and (p_2 + p_3 xi)/4; both sides of the four places of quadrature lie
+   side by side, so that their Jacobians are 16 times as large. Adds to twice the energy. */
+INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x, const double *u, double *f, four *twice) {
+  const double g = 0.57735026918962576451;
+  const four xi = {-g, g, g, -g}, eta = {-g, -g, g, g};
+  const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2], l = 2 * (int64_t)cell[3];
+#define AT(p, i) (*(const two *)((p) + (i)))
+  const two x_ki = AT(x, k) - AT(x, i), x_lj = AT(x, l) - AT(x, j), u_ki = AT(u, k) - AT(u, i), u_lj = AT(u, l) - AT(u, j);
+  const two x1 = x_ki - x_lj, x2 = x_ki + x_lj, u1 = u_ki - u_lj, u2 = u_ki + u_lj;
+  const two x3 = (AT(x, i) - AT(x, j)) + (AT(x, k) - AT(x, l)), u3 = (AT(u, i) - AT(u, j)) + (AT(u, k) - AT(u, l));
+  const four xa = x1[0] + x3[0] * eta, ya = x1[1] + x3[1] * eta, xb = x2[0] + x3[0] * xi, yb = x2[1] + x3[1] * xi;
+  const four ua = u1[0] + u3[0] * eta, va = u1[1] + u3[1] * eta, ub = u2[0] + u3[0] * xi, vb = u2[1] + u3[1] * xi;
+  const four w = 0.0625 / (xa * yb - xb * ya);
+  const four xx = ua * yb - ub * ya, yy = xa * vb - xb * va, xy = (xa * ub - xb * ua) + (va * yb - vb * ya);
+  const four wx = w * xx, wy = w * yy, s = d[0] * wx + d[1] * wy, t = d[1] * wx + d[0] * wy, h = d[2] * (w * xy);
+  const four ax = s * yb - h * xb, ay = h * yb - t * xb, bx = h * xa - s * ya, by = t * xa - h * ya;
+  const four cx = ax * eta + bx * xi, cy = ay * eta + by * xi;
+  *twice += s * xx + t * yy + h * xy;
+  /* sums over the places, of both components at once */
+#define MIXED(p, q, ...) __builtin_shuffle(p, q, (places){__VA_ARGS__})
+#define PAIRS(p, q) (MIXED(p, q, 0, 4, 2, 6) + MIXED(p, q, 1, 5, 3, 7))
+  const four a = PAIRS(ax, ay), b = PAIRS(bx, by), c = PAIRS(cx, cy);
+  const two fa = {a[0] + a[2], a[1] + a[3]}, fb = {b[0] + b[2], b[1] + b[3]}, fc = {c[0] + c[2], c[1] + c[3]};
+#define TO(i) (*(two *)(f + (i)))
+  TO(i) += (fa + fb) - fc;
+  TO(j) -= (fa - fb) - fc;
+  TO(k) -= (fa + fb) + fc;
+  TO(l) += (fa - fb) + fc;
+}
+
+/* Nodes from first to last: v += kick f/m, u += drift v. */
+INLINE void moved(int64_t first, int64_t last, const double *inverse, double kick, double drift, double *u, double *v, const double *f) {
+  for (int64_t i = first; i < last; i++) {
+    const double by = kick * inverse[i], vx = v[2 * i] + by * f[2 * i], vy = v[2 * i + 1] + by * f[2 * i + 1];
+    v[2 * i] = vx, v[2 * i + 1] = vy;
+    u[2 * i] += drift * vx, u[2 * i + 1] += drift * vy;
+  }
+}
+
+/* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of range
+   r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
+   do not move here. Nodes before begun have their e. */
+FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
+                                   const int32_t *of_four, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four,
+                                   const double *moduli, const double *x, const double *inverse, const double *e, double kick,
+                                   double drift, double *u, double *v, double *f) {
+  double twice = 0.0;
+  four others = {0.0, 0.0, 0.0, 0.0};
+  for (int32_t r = 0; r < ranges; r++) {
+    if (top[r] > begun) {
+      memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, 2 * sizeof(double) * (size_t)(top[r] - begun));
+      begun = top[r];
+    }
+    for (int64_t k = of_three[r]; k < of_three[r + 1]; k++)
+      twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
+    for (int64_t k = of_four[r]; k < of_four[r + 1]; k++)
+      quadrilateral(quads + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f, &others);
+    moved(node[r], node[r + 1], inverse, kick, drift, u, v, f);
+  }
+  return twice + ((others[0] + others[1]) + (others[2] + others[3]));
+}
+
+/* f -= K u of some cells of three and of four nodes. */
+FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three,
+                                   const uint16_t *rock_four, const double *moduli, const double *x, const double *u, double *f) {
+  double twice = 0.0;
+  four others = {0.0, 0.0, 0.0, 0.0};
+  for (int64_t k = 0; k < threes; k++) twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
+  for (int64_t k = 0; k < fours; k++) quadrilateral(quads + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f, &others);
+  return twice + ((others[0] + others[1]) + (others[2] + others[3]));
+}
+
+FOR_MACHINES void fracflow_move(int32_t first, int32_t last, const double *inverse, double kick, double drift, double *u, double *v,
+                                const double *f) {
+  moved(first, last, inverse, kick, drift, u, v, f);
+}
+
+/* Half a step: v += half a, u += step v. */
+FOR_MACHINES void fracflow_start(int32_t n, double half, double step, const double *a, double *u, double *v) {
+  for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
+    v[i] += half * a[i];
+    u[i] += step * v[i];
+  }
+}
+
+/* a = f/m where forces alone move a node. */
+FOR_MACHINES void fracflow_stop(int32_t n, const double *inverse, const double *f, double *a) {
+  for (int64_t i = 0; i < 2 * (int64_t)n; i++)
+    if (inverse[i / 2] > 0.0) a[i] = inverse[i / 2] * f[i];
+}
+
+/* Sums of m v v, m a a and s u, with m of each unknown. */
+FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
+                                double *sums) {
+  double moving = 0.0, pushed = 0.0, work = 0.0;
+  for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
+    moving += mass[i] * v[i] * v[i];
+    pushed += mass[i] * a[i] * a[i];
+    work += s[i] * u[i];
+  }
+  sums[0] = moving, sums[1] = pushed, sums[2] = work;
+}
+
+/* Nodes of one order (n,) from places of another: there = here[place]; back: there[place] = here. */
+void fracflow_take(int32_t n, const int32_t *place, const double *here, double *there) {
+  for (int64_t i = 0; i < n; i++) {
+    there[2 * i] = here[2 * (int64_t)place[i]];
+    there[2 * i + 1] = here[2 * (int64_t)place[i] + 1];
+  }
+}
+
+void fracflow_give(int32_t n, const int32_t *place, const double *here, double *there) {
+  for (int64_t i = 0; i < n; i++) {
+    there[2 * (int64_t)place[i]] = here[2 * i];
+    there[2 * (int64_t)place[i] + 1] = here[2 * i + 1];
+  }
+}
+
+void fracflow_triad(int32_t n, double *a, const double *b, const double *c, double s) {
+  for (int64_t i = 0; i < n; i++) a[i] = b[i] + s * c[i];
+}

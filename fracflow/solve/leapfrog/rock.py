@@ -1,0 +1,293 @@
+"""The rock in an explicit step: forces of its cells, and the motion of its nodes.
+
+Arrays hold two values a node, in an order of their own. ``w`` is 1/m, 0 where other things than a mass decide how an unknown
+moves. Outer forces are e. A step takes f = e - K u; v += kick f/m; u += drift v. Velocities v are those at its middle.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from fracflow._petsc import PETSc, destroy
+from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
+from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.model.operators import Operators
+from fracflow.model.solid import elasticity
+from fracflow.scene.scene import Scene
+from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
+
+RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
+
+
+class Rock(Protocol):
+    """Motion and forces of the unknowns of this rank in an order of their own, which ``places`` gives; see above.
+
+    places  (n,) where each local unknown is in u, v, a, f and e
+    energy  strain energy of this rank's cells at the displacements of the last step [energy per thickness]
+    """
+
+    places: Ints
+    u: Floats
+    v: Floats
+    a: Floats
+    f: Floats
+    e: Floats
+    energy: float
+
+    def hold(self, held: Bools, mass: Floats) -> None:
+        """Take masses (n,) of the local unknowns; the held ones (n,) are not moved by forces."""
+        ...
+
+    def begin(self, vector: PETSc.Vec, values: Floats) -> None:
+        """Read the local values of a vector into one of the arrays (n,)."""
+        ...
+
+    def end(self, values: Floats, vector: PETSc.Vec) -> None:
+        """Write one of the arrays (n,) into a vector."""
+        ...
+
+    def start(self, dt: float) -> None:
+        """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
+        ...
+
+    def step(self, kick: float, drift: float) -> None:
+        """One step of all unknowns. Collective."""
+        ...
+
+    def stop(self) -> None:
+        """Set a = f/m where forces alone move a node."""
+        ...
+
+    def sums(self, values: Floats) -> tuple[float, float, float]:
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
+        ...
+
+    def destroy(self) -> None:
+        """Free what is PETSc's. Collective."""
+        ...
+
+
+def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None) -> Rock:
+    """The rock of a scene by compiled loops, else by PETSc; ``springs`` is the K of terms. Collective."""
+    comm, loops = operators.layout.comm, library()
+    if comm.allreduce(int(loops is None)):
+        return AssembledRock(operators, springs)
+    return Cells(operators, scene)
+
+
+class Cells:
+    """Forces cell by cell, without a matrix; each node moves right after its last cell, while it is in the fastest memory.
+
+    On several ranks nodes of cells with ghosts come late. Their displacements travel, and forces on ghosts travel back, while
+    this rank makes the sweep of all others.
+    """
+
+    def __init__(self, operators: Operators, scene: Scene) -> None:
+        """Number nodes and cells. Collective."""
+        blocks, loops = operators.blocks, library()
+        assert loops is not None
+        self._loops, self.energy = loops, 0.0
+        block, count = blocks.solid, len(blocks.solid.points)
+        cells = np.full((len(block.cells), 4), -1)
+        cells[:, : block.cells.shape[1]] = block.cells
+        late, beside = late_nodes(blocks, cells)
+        order = order_of_sweep(cells, block.owned, late)
+        place = np.empty(count, dtype=np.int64)
+        place[order] = np.arange(count)
+        self.owned, self._early = block.owned, block.owned - int(late.sum())
+        self._order = np.ascontiguousarray(order[: block.owned], dtype=np.int32)
+        self.places = (2 * place[: block.owned, None] + np.arange(2)).ravel()
+        self._x = np.ascontiguousarray(block.points[order])
+        self.u, self.v, self.a, self.f, self.e = (np.zeros(2 * count) for _ in range(5))
+        self._w, self._mass = np.zeros(count), np.zeros(2 * block.owned)
+        moduli = elasticity(blocks, scene)
+        kinds, rock = np.unique(
+            np.stack([moduli[:, 0, 0], moduli[:, 0, 1], moduli[:, 2, 2]], 1), axis=0, return_inverse=True
+        )
+        self._moduli, rock = np.ascontiguousarray(kinds), rock.ravel().astype(np.uint16)
+        cells = np.where(cells >= 0, place[cells], -1)
+        lowest = np.where(cells >= 0, cells, count).min(axis=1)
+        swept = ~beside & (lowest < self._early)
+        self._swept = self._sorted(cells, rock, lowest, swept)
+        self._rest = self._sorted(cells, rock, lowest, ~swept)
+        self._ranges(lowest)
+        self._share(blocks, place)
+
+    def _sorted(self, cells: Ints, rock: Ints, lowest: Ints, chosen: Bools) -> list[np.ndarray]:
+        """Triangles, quadrilaterals and their rocks, in the order of their lowest nodes."""
+        found: list[np.ndarray] = []
+        for width in (3, 4):
+            here = np.flatnonzero(chosen & ((cells >= 0).sum(axis=1) == width))
+            here = here[np.argsort(lowest[here], kind="stable")]
+            found += [np.ascontiguousarray(cells[here, :width], dtype=np.int32), np.ascontiguousarray(rock[here])]
+        three, of_three, four, of_four = found
+        return [three, four, of_three, of_four]
+
+    def _ranges(self, lowest: Ints) -> None:
+        node = np.append(np.arange(0, self._early, RANGE), self._early).astype(np.int32)
+        top, starts = node[1:].copy(), []
+        for cells in self._swept[:2]:
+            first = np.searchsorted(cells.min(axis=1, initial=self.owned), node).astype(np.int32)
+            highest = np.maximum.accumulate(np.concatenate([[0], cells.max(axis=1, initial=-1) + 1]))
+            top = np.maximum(top, highest[first[1:]])
+            starts.append(first)
+        top = np.minimum(np.maximum.accumulate(top), self._early).astype(np.int32)
+        self._middle = len(top) // 2
+        self._sweep = [node, top, *starts]
+
+    def _share(self, blocks: Blocks, place: Ints) -> None:
+        """Make the way of ghost values between ranks."""
+        self._way: tuple[list[PETSc.Vec], list[PETSc.Vec], PETSc.Scatter] | None = None
+        comm, block = blocks.comm, blocks.solid
+        if comm.size == 1:
+            return
+        of_owner = at_ghosts(blocks, place[: block.owned].astype(float)).astype(np.int64)
+        ghosts = block.node_global[block.owned :]
+        numbers = of_owner + block.node_starts[owner_of(block.node_starts, ghosts)]
+        wanted = (2 * numbers[:, None] + np.arange(2)).ravel()
+        size = (2 * block.owned, 2 * int(block.node_starts[-1]))
+        u, force = (
+            [
+                PETSc.Vec().createWithArray(each[: 2 * block.owned], size=size, comm=comm),
+                PETSc.Vec().createWithArray(each[2 * block.owned :], comm=PETSc.COMM_SELF),
+            ]
+            for each in (self.u, self.f)
+        )
+        chosen = PETSc.IS().createGeneral(petsc_ints(wanted), comm=PETSc.COMM_SELF)
+        scatter = PETSc.Scatter().create(u[0], chosen, u[1], None)
+        chosen.destroy()
+        self._way = (u, force, scatter)
+
+    def hold(self, held: Bools, mass: Floats) -> None:
+        """Take masses (n,) of the local unknowns; nodes with held unknowns (n,) are not moved by forces."""
+        at_nodes = np.where(held.reshape(-1, 2).any(axis=1), 0.0, 1.0 / np.maximum(mass.reshape(-1, 2)[:, 0], 1e-300))
+        self._w[: self.owned] = at_nodes[self._order]
+        self._mass[self.places] = mass
+
+    def begin(self, vector: PETSc.Vec, values: Floats) -> None:
+        """Read the local values of a vector into one of the arrays (n,)."""
+        given = vector.getArray(readonly=True)
+        self._loops.fracflow_take(self.owned, address(self._order), address(given), address(values))
+
+    def end(self, values: Floats, vector: PETSc.Vec) -> None:
+        """Write one of the arrays (n,) into a vector."""
+        self._loops.fracflow_give(self.owned, address(self._order), address(values), address(vector.getArray()))
+
+    def start(self, dt: float) -> None:
+        """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
+        self._loops.fracflow_start(self.owned, 0.5 * dt, dt, *map(address, (self.a, self.u, self.v)))
+
+    def stop(self) -> None:
+        """Set a = f/m where forces alone move a node."""
+        self._loops.fracflow_stop(self.owned, *map(address, (self._w, self.f, self.a)))
+
+    def sums(self, values: Floats) -> tuple[float, float, float]:
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
+        found = np.zeros(3)
+        self._loops.fracflow_sums(self.owned, *map(address, (self._mass, self.v, self.a, values, self.u, found)))
+        moving, pushed, work = found.tolist()
+        return moving, pushed, work
+
+    def step(self, kick: float, drift: float) -> None:
+        """One step of all unknowns. Collective."""
+        ranges, early, owned = len(self._sweep[1]), 2 * self._early, 2 * self.owned
+        if self._way is None:
+            self.energy = 0.5 * self._swept_by(0, ranges, kick, drift)
+            return
+        u, force, scatter = self._way
+        insert, add, ways = PETSc.InsertMode.INSERT, PETSc.InsertMode.ADD, PETSc.ScatterMode
+        forward, back = (insert, ways.FORWARD), (add, ways.REVERSE)
+        self.f[early:owned], self.f[owned:] = self.e[early:owned], 0.0
+        scatter.scatterBegin(u[0], u[1], *forward)
+        twice = self._swept_by(0, ranges // 2, kick, drift)
+        scatter.scatterEnd(u[0], u[1], *forward)
+        data = [*map(address, (*self._rest, self._moduli, self._x, self.u, self.f))]
+        twice += self._loops.fracflow_cells(len(self._rest[0]), len(self._rest[1]), *data)
+        scatter.scatterBegin(force[1], force[0], *back)
+        twice += self._swept_by(ranges // 2, ranges, kick, drift)
+        scatter.scatterEnd(force[1], force[0], *back)
+        moved = map(address, (self.u, self.v, self.f))
+        self._loops.fracflow_move(self._early, self.owned, address(self._w), kick, drift, *moved)
+        self.energy = 0.5 * twice
+
+    def _swept_by(self, first: int, last: int, kick: float, drift: float) -> float:
+        """Sweep through some ranges of nodes; twice the strain energy of their cells."""
+        if first == last:
+            return 0.0
+        begun = int(self._sweep[1][first - 1]) if first else 0
+        starts = [address(each[first:]) for each in self._sweep]
+        data = map(address, (*self._swept, self._moduli, self._x, self._w, self.e))
+        moved = map(address, (self.u, self.v, self.f))
+        return float(self._loops.fracflow_sweep(last - first, begun, *starts, *data, kick, drift, *moved))
+
+    def destroy(self) -> None:
+        """Free the way between ranks. Collective."""
+        if self._way is not None:
+            destroy(*self._way[0], *self._way[1], self._way[2])
+
+
+class AssembledRock:
+    """Forces by the matrix of the rock, in blocks, and motion by NumPy: where nothing was compiled."""
+
+    def __init__(self, operators: Operators, springs: PETSc.Mat | None) -> None:
+        """Make the matrix. Collective."""
+        count, self.energy = operators.layout.solid_count, 0.0
+        rock, self._matrix = operators.stiffness, None
+        if springs is not None:
+            rock = rock.copy()
+            rock.axpy(-1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        indptr, indices, values = rock.getValuesCSR()
+        square = sparse.csr_matrix((values, indices, indptr), shape=(count, rock.getSize()[1])).tobsr((2, 2))
+        square.sort_indices()
+        csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
+        self._matrix = PETSc.Mat().createBAIJ(rock.getSizes(), 2, csr=csr, comm=operators.layout.comm)
+        if springs is not None:
+            rock.destroy()
+        self.places = np.arange(count)
+        self._vectors = [operators.layout.solid_vector() for _ in range(2)]
+        self.u, self._ku = (each.getArray() for each in self._vectors)
+        self.v, self.a, self.f, self.e, self._w, self._mass = (np.zeros(count) for _ in range(6))
+
+    def hold(self, held: Bools, mass: Floats) -> None:
+        """Take masses (n,) of the local unknowns; nodes with held unknowns (n,) are not moved by forces."""
+        at_nodes = held.reshape(-1, 2).any(axis=1)
+        self._w = np.where(np.repeat(at_nodes, 2), 0.0, 1.0 / np.maximum(mass, 1e-300))
+        self._mass = mass
+
+    def begin(self, vector: PETSc.Vec, values: Floats) -> None:
+        """Read the local values of a vector into one of the arrays (n,)."""
+        values[:] = vector.getArray(readonly=True)
+
+    def end(self, values: Floats, vector: PETSc.Vec) -> None:
+        """Write one of the arrays (n,) into a vector."""
+        vector.getArray()[:] = values
+
+    def start(self, dt: float) -> None:
+        """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
+        self.v += 0.5 * dt * self.a
+        self.u += dt * self.v
+
+    def stop(self) -> None:
+        """Set a = f/m where forces alone move a node."""
+        np.copyto(self.a, self._w * self.f, where=self._w > 0.0)
+
+    def sums(self, values: Floats) -> tuple[float, float, float]:
+        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
+        return float(self._mass @ self.v**2), float(self._mass @ self.a**2), float(values @ self.u)
+
+    def step(self, kick: float, drift: float) -> None:
+        """One step of all unknowns. Collective."""
+        assert self._matrix is not None
+        self._matrix.mult(*self._vectors)
+        self.energy = 0.5 * float(self.u @ self._ku)
+        np.subtract(self.e, self._ku, out=self.f)
+        self.v += kick * self._w * self.f
+        self.u += drift * self.v
+
+    def destroy(self) -> None:
+        """Free the matrix. Collective."""
+        destroy(self._matrix, *self._vectors)

@@ -1,0 +1,401 @@
+"""Equal explicit steps in a row, from state to state: motion, joints, sides and energies, each on its own nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import PETSc, destroy
+from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
+from fracflow.laws import LawStep
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.energy import added, joint_parts, joint_work
+from fracflow.model.joints import refuse_jumps
+from fracflow.model.loads import Loads
+from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State, StepReport
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import AT_ONCE, Around
+from fracflow.solve.explicit import ExplicitCoupling
+from fracflow.solve.leapfrog.joints import JointSolver
+from fracflow.solve.leapfrog.local import by_nodes
+from fracflow.solve.leapfrog.nodes import Nodes
+from fracflow.solve.request import StepRequest, on_the_way
+from fracflow.solve.residual import refuse_few, round_off_of_jumps, significant_digits
+
+SAME = 1e-14  # of the largest load: a difference by the order of sums
+
+
+class Leapfrog:
+    """Explicit steps of rock and joints without a fluid.
+
+    Velocities go from the middle of a step to that of the next. They meet displacements at the instants of states alone, so
+    that steps between states need a single sweep. Energies of the rock are known at those instants. The work of joints, sides,
+    damping and loads is summed over all steps, on their own nodes.
+    """
+
+    def __init__(self, coupling: ExplicitCoupling, scene: Scene, loads: Loads) -> None:
+        """Find the nodes of everything. Collective."""
+        self.nodes = Nodes(coupling.operators, scene, loads, coupling.damping)
+        clusters, accuracy = coupling.sections.clusters, scene.accuracy
+        self.joints, self.digits = JointSolver(coupling.operators, clusters, accuracy.max_iterations), accuracy.digits
+        self.run = Run(self.nodes)
+
+    def advance(self, state: State, request: StepRequest, count: int, then: float) -> tuple[State, StepReport] | None:
+        """The state after ``count`` equal steps, and their cost; None where other loads act than those it was made with.
+
+        then  length of the step that follows [time]
+        Raises SolveError, on every rank. Collective.
+        """
+        loads = request.loads
+        if loads is not self.nodes.loads or request.restraint is not None or request.unapplied:
+            return None
+        if not self.run.begin(state, request.length / count):
+            return None
+        spent = StepReport()
+        for done in range(1, count + 1):
+            time = request.time - request.length * (count - done) / count
+            controls = on_the_way(state.controls, request.controls, 0.0, done / count)
+            around = self.run.dt, self.run.dt if done < count else then
+            iterations, left = self.step(request, time, controls, around, done == count)
+            spent = replace(spent, newton=spent.newton + iterations, solid_residual=max(spent.solid_residual, left))
+        new = self.run.end(state, request.time, controls, around)
+        try:
+            found = significant_digits(self.nodes.operators, new)
+            refuse_few(found, self.digits, new.time)
+        except BaseException:
+            new.destroy()
+            raise
+        self.run.last = new
+        return new, replace(spent, cycles=1, digits=found.digits)
+
+    def step(
+        self, request: StepRequest, time: float, controls: Mapping[str, float], around: Around, is_last: bool
+    ) -> tuple[int, float]:
+        """One step; iterations on the joints, and what they leave of motions. Collective."""
+        run, nodes = self.run, self.nodes
+        run.predict(time, controls, around)
+        iterations, left = 0, 0.0
+        if nodes.operators.blocks.sizes.joints:
+            joints, free = nodes.operators.joints, run.free_strain()
+            before = run.sections
+            found, iterations, left = self.joints.solve(
+                before, free, joint_share(run.dt), LawStep(time, run.dt, True, request.hold)
+            )
+            run.pull(found)
+            refuse_jumps(nodes.operators.blocks, joints, before, run.sections, time)
+        run.move(time, around, is_last)
+        return iterations, left
+
+    def destroy(self) -> None:
+        """Free matrices. Collective."""
+        destroy(self.nodes)
+
+
+@dataclass
+class Books:
+    """Sums over the steps between two states, of this rank [energy per thickness].
+
+    scheme, boundaries   see ``integrators.explicit.scheme_energy``, and the work of what is held and of loads that change
+    taken, brought       of terms by their names
+    joints               (4,) see ``model.energy.joint_work``
+    """
+
+    scheme: float
+    boundaries: float
+    taken: dict[str, float]
+    brought: dict[str, float]
+    joints: Floats
+
+
+@dataclass(frozen=True)
+class Rock:
+    """Sums over the rock at one instant, of this rank.
+
+    strain    strain energy;  ``springs`` that of the K of terms
+    moving    m v^2;  ``pushed`` m a^2 where it is free
+    prestress, constant  work of the initial stress on displacements, and of loads where none changes
+    """
+
+    strain: float
+    springs: dict[str, float]
+    moving: float
+    pushed: float
+    prestress: float
+    constant: float
+
+
+class Run:
+    """Steps from a state to the next: arrays of the rock, and of ``Nodes.every``."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        """No state yet."""
+        self.nodes, self.rock = nodes, nodes.rock
+        self.last: State | None = None
+        self.constant = np.zeros(self.rock.e.shape)
+        self.loaded = np.zeros(0, dtype=np.int64)
+        self.sums: Rock | None = None
+
+    def begin(self, state: State, dt: float) -> bool:
+        """Take over a state; False where its loads are others than those of ``Nodes``. Collective."""
+        nodes, rock, forces = self.nodes, self.rock, state.forces
+        self.dt, is_new = dt, self.last is not state
+        if is_new and not self._take_loads(state):
+            return False
+        self.last = None
+        if is_new:
+            motion = state.motion
+            for vector, values in zip(
+                (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
+            ):
+                rock.begin(vector, values)
+            rock.step(0.0, 0.0)
+            self.sums = self._rock_sums()
+        self.old_sums = self.sums
+        self.sections, self.friction = state.sections, state.friction
+        self.load = forces.load.getArray(readonly=True)[nodes.changing.numbers]
+        self.support = forces.support.getArray(readonly=True)[nodes.held]
+        zero = np.zeros(len(nodes.own))
+        self.resisting = {
+            term.name: forces.of_terms[term.name].getArray(readonly=True)[nodes.own]
+            if term.name in forces.of_terms
+            else zero
+            for term in nodes.acting
+        }
+        self.damped = {
+            name: forces.of_terms[name].getArray(readonly=True)[each.numbers]
+            if name in forces.of_terms
+            else np.zeros(len(each.numbers))
+            for name, each in nodes.damping.items()
+        }
+        self.powers = dict(forces.powers)
+        self.a, self.held_at = rock.a[nodes.places], rock.u[nodes.places[nodes.at_held]]
+        self.held_speed = rock.v[nodes.places[nodes.at_held]]
+        self.books = Books(0.0, 0.0, {}, {}, np.zeros(4))
+        rock.start(dt)
+        return True
+
+    def _take_loads(self, state: State) -> bool:
+        """Loads that stay, in the order of the rock; whether the state has them. Collective."""
+        nodes, changing, layout = self.nodes, self.nodes.changing, self.nodes.operators.layout
+        anchor = state.forces.anchor if nodes.acting else None
+        constant = changing.constant(state.time, state.controls, AT_ONCE, anchor)
+        values, had = constant.getArray(readonly=True), state.forces.load.getArray(readonly=True)
+        apart = np.abs(had - values)
+        apart[changing.numbers] = 0.0
+        sizes = np.array([apart.max(initial=0.0), np.abs(values).max(initial=0.0)])
+        worst, largest = (max(each) for each in zip(*layout.comm.allgather(sizes.tolist()), strict=True))
+        if worst > SAME * largest:
+            constant.destroy()
+            return False
+        self.rock.begin(constant, self.constant)
+        changes = nodes.places[nodes.at_loads]
+        self.beside = self.constant[changes]
+        self.loaded = np.setdiff1d(np.flatnonzero(self.constant), changes)
+        np.subtract(self.constant, nodes.prestress, out=self.rock.e)
+        self.base = self.rock.e[nodes.places]
+        constant.destroy()
+        return True
+
+    def _rock_sums(self) -> Rock:
+        """Those of the present instant, of whose displacements the last sweep was."""
+        nodes, rock = self.nodes, self.rock
+        springs = {}
+        for name, matrix in nodes.springs.items():
+            u = rock.u[nodes.places[nodes.at_springs[name]]]
+            springs[name] = 0.5 * float(u @ matrix.times(u))
+        moving, pushed, prestress = rock.sums(nodes.prestress)
+        of_held = rock.a[nodes.places[nodes.at_held]]
+        pushed -= float(nodes.mass[nodes.held] @ of_held**2)
+        constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
+        return Rock(rock.energy, springs, moving, pushed, prestress, constant)
+
+    def predict(self, time: float, controls: Mapping[str, float], around: Around) -> None:
+        """Motion of all nodes in a step without what joints change in it. Collective."""
+        nodes, dt = self.nodes, self.dt
+        self.v = self.rock.v[nodes.places]
+        self.added = np.zeros(len(self.v))  # to displacements, beside dt v
+        self.pushed = np.zeros(len(self.v))  # change of the forces of loads and joints
+        load = self.beside + nodes.changing.changing(time, controls, around)
+        self.pushed[nodes.at_loads] += load - self.load
+        self.old_load, self.load = self.load, load
+        self.added += joint_share(dt) * nodes.inverse * self.pushed
+        self.moved = dt * self.v + self.added
+        if len(nodes.held):
+            self.old_held_at, self.held_at = self.held_at, nodes.prescribed(lambda part: part.value(time, AT_ONCE))
+            self.moved[nodes.at_held] = self.held_at - self.old_held_at
+
+    def free_strain(self) -> Floats:
+        """Changes of the strains (s, dim) of the joints by that. Collective."""
+        nodes = self.nodes
+        return nodes.jump.times(self.moved[nodes.at_jump]).reshape(-1, nodes.operators.joints.dim)
+
+    def pull(self, found: Sections) -> None:
+        """Take the response of the joints at the end of the step. Collective."""
+        nodes, before, weights = self.nodes, self.sections, self.nodes.operators.joints.weights[:, None]
+        force = nodes.jump.transposed((weights * (before.traction - found.traction)).ravel())
+        more = joint_share(self.dt) * nodes.inverse[nodes.at_jump] * force
+        self.pushed[nodes.at_jump] += force
+        self.added[nodes.at_jump] += more
+        self.moved[nodes.at_jump] += more
+        moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
+        record = np.maximum(before.record, np.linalg.norm(found.traction, axis=1))
+        self.sections = replace(found, blur=round_off_of_jumps(before.blur, moved), record=record)
+        self.books.joints += joint_work(nodes.operators.joints.weights, before, self.sections)
+        work = (before.traction + found.traction) * (found.inelastic - before.inelastic)
+        self.friction = self.friction + 0.5 * work.sum(axis=1)
+
+    def move(self, time: float, around: Around, is_last: bool) -> None:
+        """Forces at the end of a step, and the motion of all nodes on to the middle of the next. Collective."""
+        nodes, rock, dt, places = self.nodes, self.rock, self.dt, self.nodes.places
+        joints = nodes.operators.joints
+        rock.u[places] += self.added
+        rock.u[places[nodes.at_held]] = self.held_at
+        force = self.base.copy()
+        force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
+        force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.sections.traction).ravel())
+        old_damped = self.damped
+        self.damped = {name: each.times(self.moved[nodes.at_damped[name]]) / dt for name, each in nodes.damping.items()}
+        for name, each in self.damped.items():
+            force[nodes.at_damped[name]] -= each
+        for name, matrix in nodes.springs.items():
+            at = nodes.at_springs[name]
+            force[at] -= matrix.times(rock.u[places[at]])
+        rock.e[places] = force
+        own = places[nodes.at_own]
+        u, v = rock.u[own], self.v[nodes.at_own]
+        kick, drift = (0.5 * dt, 0.0) if is_last else (dt, dt)
+        rock.step(kick, drift)
+        a, old_a = nodes.inverse * rock.f[places], self.a
+        at_own, resisting = self._own_nodes(rock.f[own], v, time, around)
+        a[nodes.at_own] = at_own
+        self.a = a
+        v = v + kick * at_own
+        if not is_last:
+            v[nodes.held_of_own] = self.held_speed + 0.5 * dt * at_own[nodes.held_of_own]
+            rock.u[own] = u + drift * v
+        else:
+            v[nodes.held_of_own] = self.held_speed
+            rock.a[own] = at_own
+        rock.v[own] = v
+        free, books = ~nodes.is_held, self.books
+        books.scheme += scheme_work(dt, float(self.pushed[free] @ (old_a + a)[free]))
+        books.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
+        for name, each in self.damped.items():
+            self._take(name, old_damped[name], each, nodes.at_damped[name])
+        for name, each in resisting.items():
+            self._take(name, self.resisting[name], each, nodes.at_own)
+        self.resisting = resisting
+
+    def _take(self, name: str, old: Floats, new: Floats, at: Any) -> None:
+        work = 0.5 * float((old + new) @ self.moved[at])
+        self.books.taken[name] = self.books.taken.get(name, 0.0) + work
+
+    def _own_nodes(self, force: Floats, v: Floats, time: float, around: Around) -> tuple[Floats, dict[str, Floats]]:
+        """Accelerations (n,) of nodes with supports or dashpots, and the forces of terms there at the end of the step.
+
+        force  (n,) of all but these terms; v (n,) velocities at the middle of the step
+        """
+        nodes, dt = self.nodes, self.dt
+        incoming = self._incoming(time, around)
+        resists = np.zeros(len(v))
+        for name, blocks in nodes.dashpots.items():
+            resists += by_nodes(blocks, v)
+            if name in incoming:
+                resists -= incoming[name]
+        a = by_nodes(nodes.inverse_with_dashpots(dt), force - resists)
+        speed = v + 0.5 * dt * a
+        held, at = nodes.held_of_own, nodes.at_held
+        old_speed, old_a = self.held_speed, self.a[at]
+        if len(held):
+            a[held] = nodes.prescribed(lambda part: part.acceleration(time, around))
+            speed[held] = self.held_speed = nodes.prescribed(lambda part: part.speed(time, around))
+        found = {name: by_nodes(blocks, speed) - incoming.get(name, 0.0) for name, blocks in nodes.dashpots.items()}
+        if len(held):
+            mass, moved = nodes.mass[nodes.held], self.moved[at]
+            support = mass * a[held] - force[held]
+            for each in found.values():
+                support += each[held]
+            inertia = 0.5 * mass * (old_a + a[held])
+            gained = 0.5 * (old_speed + speed[held]) * mass * (speed[held] - old_speed)
+            self.books.boundaries += float((0.5 * (self.support + support) - inertia) @ moved + gained.sum())
+            self.support = support
+        return a, found
+
+    def _incoming(self, time: float, around: Around) -> dict[str, Floats]:
+        """Forces (n,) that waves bring in at ``Nodes.own``, by the names of terms."""
+        nodes, found = self.nodes, {}
+        for term in nodes.waves:
+            force = nodes.operators.layout.solid_vector()
+            power = term.incoming(time, around, force)
+            assert power is not None
+            found[term.name] = force.getArray(readonly=True)[nodes.own].copy()
+            brought = 0.5 * self.dt * (self.powers.get(term.name, 0.0) + power)
+            self.books.brought[term.name] = self.books.brought.get(term.name, 0.0) + brought
+            self.powers[term.name] = power
+            force.destroy()
+        return found
+
+    def end(self, state: State, time: float, controls: Mapping[str, float], around: Around) -> State:
+        """The state after the last step, which began with ``state``. Collective."""
+        nodes, rock, layout = self.nodes, self.rock, self.nodes.operators.layout
+        rock.stop()
+        motion = Motion(*(layout.solid_vector() for _ in range(3)))
+        for vector, values in zip(
+            (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
+        ):
+            rock.end(values, vector)
+
+        def at(numbers: Ints, values: Floats) -> PETSc.Vec:
+            result = layout.solid_vector()
+            result.getArray()[numbers] = values
+            return result
+
+        old = state.forces
+        load = copy(old.load)
+        if nodes.changing.is_any:  # on all ranks alike: they agree on whether the size of a vector is known
+            load = old.load.copy()
+            load.getArray()[nodes.changing.numbers] = self.load
+        of_terms = {name: at(nodes.own, values) for name, values in self.resisting.items()}
+        of_terms |= {name: at(nodes.damping[name].numbers, values) for name, values in self.damped.items()}
+        support, anchor = at(nodes.held, self.support), None if old.anchor is None else copy(old.anchor)
+        forces = Forces(load, support, old.conduction.copy(), old.source.copy(), of_terms, self.powers, anchor)
+        self.sums = self._rock_sums()
+        return replace(
+            state,
+            time=time,
+            motion=motion,
+            pressure=state.pressure.copy(),
+            sections=self.sections,
+            forces=forces,
+            controls=dict(controls),
+            energy=added(state.energy, self._parts()),
+            friction=self.friction,
+            previous_step=PreviousStep(),
+            uptake=None,
+            adjacent_steps=around,
+        )
+
+    def _parts(self) -> dict[str, float]:
+        """Entries that the steps add to the energy balance. Collective."""
+        nodes, books, before, after = self.nodes, self.books, self.old_sums, self.sums
+        assert before is not None and after is not None
+        here = {f"taken {term.name}": books.taken.get(term.name, 0.0) for term in nodes.operators.terms}
+        for name, energy in after.springs.items():
+            here[f"taken {name}"] += energy - before.springs[name]
+        here |= {
+            "kinetic": 0.5 * (after.moving - before.moving),
+            "rock_strain": after.strain - before.strain + after.prestress - before.prestress,
+            "scheme": books.scheme + scheme_energy(self.dt, before.pushed, after.pushed),
+            "work_boundaries": books.boundaries + after.constant - before.constant,
+        }
+        values = nodes.operators.layout.comm.allreduce(np.concatenate([list(here.values()), books.joints]))
+        total = dict(zip(here, values.tolist(), strict=False))
+        parts = {name: value for name, value in total.items() if not name.startswith("taken ")}
+        parts |= joint_parts(values[len(here) :])
+        for term in nodes.operators.terms:
+            parts |= term.energy(total[f"taken {term.name}"], books.brought.get(term.name, 0.0))
+        return parts

@@ -1,0 +1,165 @@
+"""Explicit steps against memory and arithmetic: explicit.py [UNKNOWNS...] [--cells triangles quads] [--ranks N] [--out DIR].
+
+A rupture of a fault between four absorbing sides, in rock of so many unknowns. Counted are CPU seconds of a rank between the
+first and the last state on record, so that joints, sides, energies and history are in them; a state is on record every
+--parts steps. Beside it stand, from the same process: the sweep through the rock alone; how fast it could be by its bytes and
+the bandwidth of memory, by the triad a = b + s c; and how fast by its arithmetic, as it is where all its values stay in the
+fastest memory. The lower of both bounds it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from explicit_kernels import scene_of
+from size import machine
+
+UNKNOWNS, CELLS = (1e5, 4e5, 1e6), ("triangles", "quads")
+AREA = 40e3 * 24e3  # of the scene [m^2]
+CACHED = 1e4  # unknowns whose values stay in the fastest memory
+ASKED = 3e7  # unknown-steps per CPU second
+FIRST = 2  # states on record that do not count
+
+
+def size_of(unknowns: float, cells: str) -> float:
+    """Side of cells of a rock with about so many unknowns [m]."""
+    of_one = 0.5 * np.sqrt(0.75) if cells == "triangles" else 1.0
+    nodes_a_cell = 0.5 if cells == "triangles" else 1.0
+    return float(np.sqrt(AREA / of_one * nodes_a_cell / (0.5 * unknowns)))
+
+
+def prepared(unknowns: float, cells: str) -> Any:
+    """The scene; its steps are as long as the critical one."""
+    from fracflow._petsc import MPI
+    from fracflow.reduction.prepare import prepare
+    from fracflow.scene.scene import Scene
+
+    data = scene_of(size_of(unknowns, cells), 1)
+    data["geometry"]["cells"] = cells
+    return data, prepare(Scene.from_data(data), MPI.COMM_WORLD)
+
+
+def best(call: Callable[[], Any], repeats: int) -> float:
+    """CPU seconds of a call, the least of several rounds."""
+    call()
+    found = []
+    for _ in range(5):
+        began = time.process_time()
+        for _ in range(repeats):
+            call()
+        found.append((time.process_time() - began) / repeats)
+    return min(found)
+
+
+def sweep(model: Any) -> tuple[float, float]:
+    """CPU seconds of a sweep through a rock, and its bytes an unknown."""
+    from fracflow.solve.leapfrog.rock import Cells, rock_of
+
+    rock, count = rock_of(model.operators, model.scene, None), model.operators.layout.solid_count
+    rock.hold(np.zeros(count, dtype=bool), np.full(count, 1e9))
+    seconds = best(lambda: rock.step(1e-6, 1e-6), max(3, int(2e6 / count)))
+    moved = 8 * (2 + 2 + 2 + 1 + 0.5 + 1)  # u, v and f there and back, e, w, x
+    block = model.operators.blocks.solid
+    of_cells = sum(4 * k + 2 for k in (block.cells >= 0).sum(axis=1).tolist()) if isinstance(rock, Cells) else 0
+    rock.destroy()
+    return seconds, moved + of_cells / count
+
+
+def triad(length: int = 10_000_000) -> float:
+    """Bandwidth of memory [byte/s]; 0 where the loops are not compiled."""
+    from fracflow.solve.leapfrog.compiled import address, library
+
+    loops = library()
+    if loops is None:
+        return 0.0
+    a, b, c = np.zeros(length), np.ones(length), np.full(length, 2.0)
+    return 24.0 * length / best(lambda: loops.fracflow_triad(length, address(a), address(b), address(c), 3.0), 1)
+
+
+def whole(data: dict[str, Any], step: float, parts: int, states: int, folder: Path) -> float:
+    """CPU seconds of a ``step`` [s] with all that belongs to it, the mean over ranks."""
+    from fracflow._petsc import MPI
+    from fracflow.scene.scene import Scene
+    from fracflow.simulation.run import run
+
+    comm, marks = MPI.COMM_WORLD, list[float]()
+    data["stage"][0] |= {"time_step": parts * (1.0 - 1e-9) * step, "steps": states}
+    run(Scene.from_data(data), folder, comm, progress=lambda step: marks.append(time.process_time()))
+    spent: float = comm.allreduce(marks[-1] - marks[FIRST - 1]) / comm.size
+    return spent / ((len(marks) - FIRST) * parts)
+
+
+def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
+    """All numbers of one rock."""
+    from fracflow._petsc import MPI
+    from fracflow.solve.explicit import ExplicitCoupling
+
+    data, model = prepared(unknowns, cells)
+    count = int(model.operators.layout.solid_starts[-1])
+    sections = 2 * model.operators.blocks.sizes.joints
+    alone, size = sweep(model)
+    coupling = ExplicitCoupling(model.scene, model.operators, model.loads)
+    critical = coupling.critical
+    coupling.destroy()
+    del model
+    small = prepared(CACHED, cells)[1]
+    cached = sweep(small)[0] / small.operators.layout.solid_count
+    step, ranks = whole(data, critical, parts, states, folder), MPI.COMM_WORLD.size
+    by_memory, by_arithmetic = triad() / size, 1.0 / cached
+    rate, bound = count / step / ranks, min(by_memory or np.inf, by_arithmetic)
+    return {
+        "cells": cells, "unknowns": count, "sections": sections, "ranks": ranks,
+        "unknown_steps_per_CPU_s": float(f"{rate:.3g}"), "step_ms": round(1e3 * step, 3), "sweep_ms": round(1e3 * alone, 3),
+        "sweep_rate": float(f"{count / alone / ranks:.3g}"), "bytes": round(size, 1),
+        "triad_GB_s": round(1e-9 * by_memory * size, 1),
+        "bound_by_memory": float(f"{by_memory:.3g}"), "bound_by_arithmetic": float(f"{by_arithmetic:.3g}"),
+        "sweep_over_bound": round(count / alone / ranks / bound, 2), "step_over_bound": round(rate / bound, 2),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Measure, print, write explicit.json; exit code 1 where a step is slower than is asked for."""
+    parser = argparse.ArgumentParser(prog="scripts/bench explicit", description=__doc__.splitlines()[0])
+    parser.add_argument("unknowns", nargs="*", type=float, default=UNKNOWNS)
+    parser.add_argument("--cells", nargs="+", choices=CELLS, default=CELLS)
+    parser.add_argument("--parts", type=int, default=10, help="steps from state to state on record")
+    parser.add_argument("--states", type=int, default=8)
+    parser.add_argument("--ranks", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/bench/explicit"))
+    given = parser.parse_args()
+    if given.ranks > 1:
+        words = [word for word in sys.argv[1:] if not word.startswith("--ranks")]
+        at = sys.argv.index("--ranks") if "--ranks" in sys.argv else 0
+        words = sys.argv[1:at] + sys.argv[at + 2 :] if at else words
+        sys.exit(subprocess.run(["mpirun", "-n", str(given.ranks), sys.executable, __file__, *words]).returncode)
+    from fracflow._petsc import MPI
+
+    comm, slow = MPI.COMM_WORLD, False
+    folder = given.out.resolve() / str(comm.size)
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for cells in given.cells:
+        for unknowns in given.unknowns:
+            rows.append(measure(unknowns, cells, given.parts, max(given.states, FIRST + 1), folder / "run"))
+            slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
+            if comm.rank == 0:
+                print(json.dumps(rows[-1]), flush=True)
+    if comm.rank == 0:
+        facts = {"command": shlex.join(["scripts/bench", "explicit", *sys.argv[1:]]), **machine(), "rows": rows}
+        (folder / "explicit.json").write_text(json.dumps(facts, indent=1), encoding="utf-8")
+    sys.exit(int(slow))
+
+
+if __name__ == "__main__":
+    main()
