@@ -20,6 +20,7 @@ CALM = 2  # parts in a row that could have been twice as long, before the next o
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
+USUAL, FILLING = 6, 12  # halvings where the scene gives none
 HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
 
 
@@ -79,9 +80,18 @@ class SubstepCursor:
         return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
 
 
-def most_halvings(scene: Scene) -> int:
-    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail."""
-    return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
+def most_halvings(scene: Scene, fills: bool = False) -> int:
+    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail.
+
+    fills  it fills fractures: pressure enters a tight one in far less than a time_step
+    """
+    return halvings_given(scene, FILLING if fills else USUAL) if scene.method.newton == "newton" else 0
+
+
+def halvings_given(scene: Scene, usual: int = USUAL) -> int:
+    """``accuracy.max_halvings``, or the usual number where the scene gives none."""
+    given = scene.accuracy.max_halvings
+    return usual if given is None else given
 
 
 @dataclass(frozen=True)
