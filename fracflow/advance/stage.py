@@ -91,7 +91,9 @@ def composed(
 ) -> Substepped:
     """The way to advance through the steps of a stage by the rule of an estimator, from a place in one of them."""
     model, whole, stepper = stepping.model, stepping.model.scene.stage[number].time_step or 0.0, estimator.stepper
-    is_weakening, most = weakens(model) and not stepper.inertia, most_halvings(model.scene, fills(model, stepper))
+    is_weakening = weakens(model) and not stepper.inertia
+    is_sought = is_weakening or model.scene.accuracy.step_error is not None
+    most = most_halvings(model.scene, fills(model, stepper) and not is_sought)
     most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
     rules = Rules(most, estimator.order, _events(stepping, stepper, whole), estimator.finest, estimator.of_flow)
     step = stepping.by(stepper)

@@ -43,7 +43,7 @@ from fracflow.solve.residual import (
 )
 
 SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
-BLURRED = 1e-11  # of the largest term: round-off of jumps from which on strains are followed between iterates
+BLURRED = 1e-11  # of the largest term, and of a gap: round-off of jumps from which on strains are followed
 SAME_TRIAL = 32.0  # round-offs of a jump by which followed strains may be off it
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
 
@@ -87,7 +87,7 @@ class StepProblem:
         self.moving = MovingTerms(operators.mass, rule.alphas, self.terms, state.motion.acceleration, before)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self._known, self._is_blurred = state.sections.strain, False
-        self._is_followed: Bools | None = None
+        self._is_followed: Bools | None = None  # None where no strain is
         self.pressure = state.pressure.copy()
         if start is not None:
             self.pressure.setArray(start[1])
@@ -184,13 +184,14 @@ class StepProblem:
         self._measure(max(terms), max(flow_terms))
 
     def _strain(self) -> Floats:
-        """Strains (s, dim) of the trial; those that are followed where jumps are blurred. Collective."""
+        """Strains (s, dim) of the trial; those that are followed where a gap has few digits otherwise. Collective."""
         # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + self.operators.joints.strain(self.increment)
         self._is_followed = None
         if self._is_blurred:
-            slack = SAME_TRIAL * UNIT_ROUND_OFF * self.operators.joints.moved(self.increment)
-            self._is_followed = np.abs(self._known - strain) <= slack
+            joints, slack = self.operators.joints, UNIT_ROUND_OFF * self.operators.joints.moved(self.increment)
+            is_narrow = slack[:, -1] > BLURRED * joints.may_close(self._known)
+            self._is_followed = is_narrow[:, None] & (np.abs(self._known - strain) <= SAME_TRIAL * slack)
             strain = np.where(self._is_followed, self._known, strain)
         self._known = strain
         return strain
