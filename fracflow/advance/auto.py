@@ -15,7 +15,7 @@ from fracflow.advance.slip_rate import longest_step
 from fracflow.advance.slow_slip import RADIATED, SETTLED, Tried, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.step_error import step_error
-from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
+from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, halvings_given, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.errors import NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
@@ -146,7 +146,7 @@ class _Regimes:
         if event.calm > CALM and tried.may_double:
             event = replace(event, step=min(2.0 * event.step, max(self.longest, event.least)), calm=0.0)
         if tried.jumps:
-            after = self.longest * 0.5**self.scene.accuracy.max_halvings
+            after = self.longest * 0.5 ** halvings_given(self.scene)
             event = replace(event, step=max(min(event.step, after), event.least), calm=0.0)
         return event
 

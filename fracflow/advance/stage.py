@@ -15,6 +15,7 @@ from fracflow.advance.slip_rate import FINEST, BySlipRate, creeps
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.integrators import Stepper
+from fracflow.model.setup import Model
 from fracflow.model.state import State, forgetful
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import LoadStep, StepRequest, to_next
@@ -81,12 +82,19 @@ def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
     return _events(stepping, stepper, dt) > 0 and not stepping.model.scene.jumps_anywhere
 
 
+def fills(model: Model, stepper: Stepper) -> bool:
+    """Whether steps by a rule fill fractures, at rest."""
+    return stepper.storage and model.operators.flow is not None and not stepper.inertia
+
+
 def composed(
     stepping: Stepping, number: int, estimator: ErrorEstimator, given: PrescribedTimes, place: SubstepCursor, log: Log
 ) -> Substepped:
     """The way to advance through the steps of a stage by the rule of an estimator, from a place in one of them."""
     model, whole, stepper = stepping.model, stepping.model.scene.stage[number].time_step or 0.0, estimator.stepper
-    is_weakening, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
+    is_weakening = weakens(model) and not stepper.inertia
+    is_sought = is_weakening or model.scene.accuracy.step_error is not None
+    most = most_halvings(model.scene, fills(model, stepper) and not is_sought)
     most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
     by_rate = creeps(model) and not stepper.inertia
     order, finest = estimator.order or by_rate, max(estimator.finest, FINEST * by_rate)
@@ -119,13 +127,13 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     if estimator.finest and not progress:
         log(f"stage {stage.title}: parts of steps by {estimator.statement}")
     splits = _splits(stepping, stepper, whole)
-    fills = stepper.storage and model.operators.flow is not None and not stepper.inertia
+    is_filled = fills(model, stepper)
     asked = estimator.tolerance if estimator.finest else None
-    given = prescribed(model.scene, stepper.inertia, splits, asked, whole if fills else 0.0)
+    given = prescribed(model.scene, stepper.inertia, splits, asked, whole if is_filled else 0.0)
     parts = composed(stepping, number, estimator, given, SubstepCursor.of(progress), log)
     method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
     # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
-    at_once = stepper.inertia or fills
+    at_once = stepper.inertia or is_filled
     ends = False
     while not ends and (count is None or n < count):
         dt, following = stage.step_length(start, n + 1), 0.0 if n + 1 == count else stage.step_length(start, n + 2)

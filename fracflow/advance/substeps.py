@@ -26,6 +26,7 @@ GRADES = (
 GRAIN = 2.0**-40  # of a step: sums of such lengths are exact
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
+USUAL, FILLING = 6, 12  # halvings where the scene gives none
 HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
 
 
@@ -86,9 +87,18 @@ class SubstepCursor:
         return cls(base, part, level, int(calm), int(events))
 
 
-def most_halvings(scene: Scene) -> int:
-    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail."""
-    return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
+def most_halvings(scene: Scene, fills: bool = False) -> int:
+    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail.
+
+    fills  it fills fractures: pressure enters a tight one in far less than a time_step
+    """
+    return halvings_given(scene, FILLING if fills else USUAL) if scene.method.newton == "newton" else 0
+
+
+def halvings_given(scene: Scene, usual: int = USUAL) -> int:
+    """``accuracy.max_halvings``, or the usual number where the scene gives none."""
+    given = scene.accuracy.max_halvings
+    return usual if given is None else given
 
 
 @dataclass(frozen=True)

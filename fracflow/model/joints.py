@@ -231,6 +231,14 @@ class Joints:
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
+    def may_close(self, strain: Floats) -> Floats:
+        """How far (s,) the law of each section lets it close in an iteration; inf where closure has no end [length]."""
+        closing, result = np.zeros_like(strain), np.zeros(len(strain))
+        closing[:, -1] = -1.0
+        for group in self.laws:
+            result[group.sections] = group.law.step_limit(strain[group.sections], closing[group.sections])
+        return result
+
     def change_at(self, strain: Floats, increment: Floats) -> float:
         """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]

@@ -334,8 +334,9 @@ class Accuracy(Table):
     stops; 0 lets it go on [1]"""
     max_iterations: Count = 50
     """Newton iterations of a step before it is halved or given up"""
-    max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = 6
-    """times that a step which does not converge is halved before the run stops"""
+    max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] | None = None
+    """times that a step which does not converge is halved before the run stops; if not given 6, but 12 in a stage
+    quasi-static that fills fractures without a step_error and without strength that falls with slip"""
     tolerance: Fraction | None = None
     """error of results that time steps may make in a stage, over the largest change: steps are cut in substeps whose
     estimated errors add up to no more; with inertia of displacements, without it of the volume stored in fractures; if

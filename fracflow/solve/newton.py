@@ -72,6 +72,7 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
+        self._strained: Floats | None = None  # sections where the step ends that SNES takes
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
         self._is_held = False
@@ -133,13 +134,13 @@ class Newton:
         local[:middle] = problem.increment.getArray(readonly=True) / scales.displacement
         local[middle:] = problem.pressure.getArray(readonly=True) / scales.pressure
 
-    def _unpack(self, unknowns: PETSc.Vec) -> None:
+    def _unpack(self, unknowns: PETSc.Vec, strain: Floats | None = None) -> None:
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
         local = unknowns.getArray(readonly=True)
         if self.only != "solid":
             self.problem.pressure.setArray(local[middle:] * scales.pressure)
         if self.only != "flow":
-            self.problem.move(local[:middle] * scales.displacement)
+            self.problem.move(local[:middle] * scales.displacement, strain)
         else:
             self.problem.move(self.problem.increment.getArray().copy())
 
@@ -153,14 +154,16 @@ class Newton:
         """The balances for SNES; from a refusal on they are infinite, which ends SNES on every rank. Collective."""
         if not self._refusals:
             try:
-                return self._evaluate(unknowns, balance)
+                return self._evaluate(unknowns, balance, self._strained)
             except SolveError as error:
                 self._refusals.append(error)
+            finally:
+                self._strained = None
         balance.set(np.inf)
 
-    def _evaluate(self, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
+    def _evaluate(self, unknowns: PETSc.Vec, balance: PETSc.Vec, strain: Floats | None = None) -> None:
         problem = self.problem
-        self._unpack(unknowns)
+        self._unpack(unknowns, strain)
         problem.evaluate(hold=self.holds or self._is_start or problem.request.hold)
         middle = self.matrix.layout.solid_count
         local = balance.getArray()
@@ -230,6 +233,7 @@ class Newton:
     def _shorten(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Whether a step was shortened. Raises SolveError or SingularMatrix where it may not be made. Collective."""
         problem = self.problem
+        start = problem.sections.strain
         self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
@@ -264,6 +268,7 @@ class Newton:
             fraction *= searched
         if fraction < 1.0:
             self._step = np.inf
+        self._strained = start + fraction * strains
         return bool(fraction < 1.0)
 
     def _strains(self, step: PETSc.Vec) -> tuple[Floats, float]:
@@ -304,13 +309,13 @@ class Newton:
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
-        comm, middle = self.matrix.layout.comm, self.matrix.layout.solid_count
+        comm, middle, start = self.matrix.layout.comm, self.matrix.layout.solid_count, problem.sections.strain
         trial, balance = unknowns.duplicate(), self.balance.duplicate()
         change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
 
         def at(fraction: float) -> None:
             trial.waxpy(-fraction, step, unknowns)
-            self._evaluate(trial, balance)
+            self._evaluate(trial, balance, start + fraction * strains)
 
         def size(fraction: float) -> float:
             try:

@@ -16,7 +16,7 @@ from fracflow._petsc import PETSc, booked, destroy
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import PrescribedValues
@@ -30,6 +30,7 @@ from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
     TINY,
+    UNIT_ROUND_OFF,
     Residual,
     flow_residual,
     flow_sizes,
@@ -43,6 +44,8 @@ from fracflow.solve.residual import (
 )
 
 SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
+BLURRED = 1e-11  # of the largest term, and of a gap: round-off of jumps from which on strains are followed
+SAME_TRIAL = 32.0  # round-offs of a jump by which followed strains may be off it
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
 
 
@@ -84,6 +87,8 @@ class StepProblem:
         before = static_balance_of(operators, state) if rule.alphas.balance_old else None
         self.moving = MovingTerms(operators.mass, rule.alphas, self.terms, state.motion.acceleration, before)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
+        self._known, self._is_blurred = state.sections.strain, False
+        self._is_followed: Bools | None = None  # None where no strain is
         self.pressure = state.pressure.copy()
         if start is not None:
             self.pressure.setArray(start[1])
@@ -124,8 +129,16 @@ class StepProblem:
         destroy(displacement, pressure)
         return found[0], found[1]
 
-    def move(self, increment: Floats) -> None:
-        """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed."""
+    def move(self, increment: Floats, strain: Floats | None = None) -> None:
+        """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed.
+
+        strain  (s, dim) of the sections there, followed from the last trial; None to keep those that are known
+
+        A nearly closed joint has a gap that is less than the round-off of how far both its walls have moved. The changes from
+        one iterate to the next are small, and so is their round-off.
+        """
+        if strain is not None:
+            self._known = strain
         old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
@@ -142,9 +155,7 @@ class StepProblem:
         """
         ops, u, p = self.operators, self.displacement, self.pressure
         self.work.evaluations += 1
-        # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
-        strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.accept(self.evaluate_joints(strain, hold))
+        self.accept(self.evaluate_joints(self._strain(), hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -174,6 +185,19 @@ class StepProblem:
             self.flow_balance.getArray()[part.numbers] = 0.0
         self._measure(max(terms), max(flow_terms))
 
+    def _strain(self) -> Floats:
+        """Strains (s, dim) of the trial; those that are followed where a gap has few digits otherwise. Collective."""
+        # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
+        strain = self.state.sections.strain + self.operators.joints.strain(self.increment)
+        self._is_followed = None
+        if self._is_blurred:
+            joints, slack = self.operators.joints, UNIT_ROUND_OFF * self.operators.joints.moved(self.increment)
+            is_narrow = slack[:, -1] > BLURRED * joints.may_close(self._known)
+            self._is_followed = is_narrow[:, None] & (np.abs(self._known - strain) <= SAME_TRIAL * slack)
+            strain = np.where(self._is_followed, self._known, strain)
+        self._known = strain
+        return strain
+
     @booked("FracLaws")
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
@@ -191,7 +215,11 @@ class StepProblem:
         """Take the response of the sections to the present motion."""
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
-        self.sections = replace(answer, blur=round_off_of_jumps(before.blur, self._moved), record=record)
+        self._rounded, blur = self._moved, before.blur
+        if self._is_followed is not None:
+            self._rounded = np.where(self._is_followed, np.abs(answer.strain), self._moved)
+            blur = np.where(self._is_followed, 0.0, blur)
+        self.sections = replace(answer, blur=round_off_of_jumps(blur, self._rounded), record=record)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""
@@ -277,13 +305,16 @@ class StepProblem:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
         of_jumps = round_off_here(self.operators, self.sections, self._moved)
+        of_strains = round_off_here(self.operators, self.sections, self._rounded)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [of_jumps, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
-        solid, solid_terms, flow, flow_terms, of_jumps, moved, hidden, carried = over_ranks(here, comm)
-        noise = of_jumps + round_off_of_rock(self.operators, moved)
+        here += [of_jumps, of_strains, largest(self.displacement)]
+        here += [float(np.max(self._flow_noise, initial=0.0)), self._carried]
+        solid, solid_terms, flow, flow_terms, of_jumps, of_strains, moved, hidden, carried = over_ranks(here, comm)
+        noise = of_strains + round_off_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
+        self._is_blurred = of_jumps > BLURRED * size
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
         flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)

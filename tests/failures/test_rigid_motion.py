@@ -70,3 +70,18 @@ def test_in_soft_joints_it_is_the_rock_that_takes_the_digits(shared_tmp):
             shared_tmp / "run",
             MPI.COMM_WORLD,
         )
+
+
+def test_a_nearly_closed_joint_keeps_the_digits_of_its_gap(shared_tmp):
+    """k_n0 d_0 = 10 kPa under 1 GPa leaves a gap of 5e-11 m, and both walls move by 3 m."""
+    tight = {"law": "hyperbolic-coulomb", "normal_stiffness": 2e9, "shear_stiffness": 1e9, "aperture": 5e-6}
+    settings = [f"fracture.seam.{key}={value}" for key, value in (tight | {"friction_coefficient": 0.6}).items()]
+    settings += ["rock.rock.youngs_modulus=1e11", "load.0.traction=[0, -1e9]"]
+    settings += ["support.0.displacement.y=[[0, 0], [1, 3]]"]
+    history, _ = _ran(shared_tmp / "run", *settings)
+    assert 2e9 * 5e-6 * 1e-5 * EPS * 3 / 5e-11**2 > 1e-6 * 1e9  # by displacements fewer than 6 digits are left
+    for name in ("left", "middle"):
+        assert history[f"probe/{name}/normal_traction"][-1] == pytest.approx(-1e9, rel=1e-9)
+    assert history["step/digits"][-1] > 9.0
+    largest = max(np.abs(values).max() for name, values in history.items() if name.startswith("energy/"))
+    assert np.abs(history["energy/residual"]).max() <= 1e-10 * largest

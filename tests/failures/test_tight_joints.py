@@ -85,6 +85,13 @@ def test_wide_fractures_behind_tight_ones_keep_their_books(tmp_path):
         assert end.what == "right" and end.halved <= 1, end
 
 
+@pytest.mark.serial
+def test_a_front_that_crosses_in_a_hundredth_of_a_step_is_followed(tmp_path):
+    """Crossing fractures lift off together, within a ramp of a thousandth of the step: six halvings are too few."""
+    end = random_tight.end_of(59, tmp_path)
+    assert end.what == "right" and 6 < end.halved <= 10, end
+
+
 def test_the_scenes_are_the_same_again_and_span_four_decades():
     closures, lifts = np.array([random_tight.scene(seed)[1:] for seed in range(200)]).T
     assert random_tight.scene(7) == random_tight.scene(7)
