@@ -63,6 +63,7 @@ def scene_of(size: float, steps: int) -> dict[str, Any]:
 
 def run_steps(size: float, steps: int, folder: Path) -> dict[str, Any]:
     """CPU seconds of a step by part: products and joints are parts of the coupling, the coupling of a step."""
+    from fracflow.advance import explicit as advance
     from fracflow.scene.scene import Scene
     from fracflow.simulation.run import run
     from fracflow.solve import explicit
@@ -96,9 +97,11 @@ def run_steps(size: float, steps: int, folder: Path) -> dict[str, Any]:
         return inner(coupling, problem)
 
     explicit.ExplicitCoupling.solve = marked
+    takes, advance.takes = advance.takes, lambda operators: False  # the steps of scenes that one sweep does not take
     try:
         run(Scene.from_data(scene_of(size, steps)), folder)
     finally:
+        advance.takes = takes
         for back in reversed(undo):
             back()
     count = len(marks) - FIRST

@@ -87,7 +87,7 @@ class Seeps(Term):
     def __init__(self, size, speed):
         self.size, self.speed = size, speed
 
-    def leaving(self, pressure, aperture):
+    def leaving(self, pressure, aperture, step):
         share = pressure / self.size
         return Leaving(*(self.speed * np.array([share**2 * aperture, 2.0 * share / self.size * aperture, share**2])))
 

@@ -13,11 +13,9 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import assembled_at_nodes
-from fracflow.model.terms.term import Leaving, StepOfTerms, Term
+from fracflow.model.terms.term import NOW, Leaving, StepOfTerms, Term
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import LawTable
-
-NOW = StepOfTerms()
 
 
 def terms_of_laws(operators: Operators, scene: Scene) -> tuple[Term, ...]:

@@ -62,6 +62,10 @@ class StepOfTerms(NamedTuple):
     dt: float = 0.0
 
 
+NOW = StepOfTerms()
+"""An instant, for terms without a memory."""
+
+
 class Term:
     """A term of a balance; what a term does not say stays as it is here: nothing.
 

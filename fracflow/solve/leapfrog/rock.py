@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
@@ -241,6 +240,8 @@ class AssembledRock:
             rock = rock.copy()
             rock.axpy(-1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         indptr, indices, values = rock.getValuesCSR()
+        from scipy import sparse  # imports much
+
         square = sparse.csr_matrix((values, indices, indptr), shape=(count, rock.getSize()[1])).tobsr((2, 2))
         square.sort_indices()
         csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
