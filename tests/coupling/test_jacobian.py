@@ -87,7 +87,7 @@ class Seeps(Term):
     def __init__(self, size, speed):
         self.size, self.speed = size, speed
 
-    def leaving(self, pressure, aperture):
+    def leaving(self, pressure, aperture, step):
         share = pressure / self.size
         return Leaving(*(self.speed * np.array([share**2 * aperture, 2.0 * share / self.size * aperture, share**2])))
 
@@ -111,7 +111,7 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
     check_around(scene, problem, random)
     rate, same = rate_by(operators, seeps, state), operators.layout.flow_vector()
     aperture = flow.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
-    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
+    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture, problem.step_of_terms()).rate, same)
     assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
     sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
     assert all(MPI.COMM_WORLD.allreduce(float(size), op=MPI.MAX) > 0.0 for size in sizes)
