@@ -86,7 +86,7 @@ Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 
-def booked(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
+def timed(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
     """Decorate a function whose time PETSc's ``-log_view`` shows as an event, and in a stage of the log if one is named."""
     on, within = PETSc.Log.Event(event), PETSc.Log.Stage(stage) if stage else None
 
@@ -111,4 +111,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "booked", "destroy", "find_petsc_dir"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "timed"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, booked, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -63,7 +63,7 @@ class FlowOnJoints:
         """
         network, joints, flow = self.operators.network, self.operators.joints, problem.flow_balance
         walls = joints.walls(problem.sections, network.law, problem.law_step())
-        conduction = network.conduct(problem.displacement, problem.pressure, walls, problem.step_of_terms())
+        conduction = network.conduct(problem.displacement, problem.pressure, walls, problem.term_step())
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
         slope = conduction.tangents(problem.alphas.b1)[1]
@@ -190,7 +190,7 @@ class SectionSolver:
         now = self.total_traction(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
-    @booked("FracSections")
+    @timed("FracSections")
     def solve(
         self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
