@@ -20,7 +20,7 @@ from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats, is_unmeshed
 from fracflow.mesh.locate import FracturePlace
-from fracflow.mesh.plane.alone import map_cells
+from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root

@@ -269,10 +269,8 @@ class StepProblem:
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
-        self.conduction, self._widest = (
-            network.conduct(self.displacement, self.pressure, walls, self.term_step()),
-            None,
-        )
+        self.conduction = network.conduct(self.displacement, self.pressure, walls, self.term_step())
+        self._widest = None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression
