@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
@@ -235,6 +234,8 @@ class AssembledRock:
 
     def __init__(self, operators: Operators, springs: PETSc.Mat | None) -> None:
         """Make the matrix. Collective."""
+        from scipy import sparse  # imports much
+
         count, self.energy = operators.layout.solid_count, 0.0
         rock, self._matrix = operators.stiffness, None
         if springs is not None:
