@@ -2,9 +2,9 @@
 
 The rupture of a fault in rock of triangles SIZE metres wide (74 m: 4e5 unknowns). First the program's own explicit steps, one
 by one as with a fluid, CPU seconds by part; then one product with its stiffness by PETSc, as the nodes are numbered and by
-reverse Cuthill-McKee, by rows and by blocks; then whole steps in C (where there is a compiler): by rows, by blocks and by cells,
-without a matrix; last the bandwidth of memory by the triad a = b + s c. The best of several rounds counts, in CPU seconds of one
-rank.
+reverse Cuthill-McKee, by rows and by blocks; then whole steps in C (where there is a compiler): by rows, by blocks and by
+cells, without a matrix; last the bandwidth of memory by the triad a = b + s c. The best of several rounds counts, in CPU
+seconds of one rank.
 """
 
 from __future__ import annotations
