@@ -86,9 +86,19 @@ Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 
-def booked(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
+_stages = {0}  # of the log: the main one, and those that are named here
+
+
+def logged(event: str, kind: str) -> float:
+    """The "count" or "time" [s] of an event in all stages of PETSc's log."""
+    return float(sum(PETSc.Log.Event(event).getPerfInfo(stage)[kind] for stage in sorted(_stages)))
+
+
+def timed(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
     """Decorate a function whose time PETSc's ``-log_view`` shows as an event, and in a stage of the log if one is named."""
     on, within = PETSc.Log.Event(event), PETSc.Log.Stage(stage) if stage else None
+    if within is not None:
+        _stages.add(within.id)
 
     def decorate(work: Callable[Given, Result]) -> Callable[Given, Result]:
         @wraps(work)
@@ -111,4 +121,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "booked", "destroy", "find_petsc_dir"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "timed"]

@@ -65,7 +65,7 @@ def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leavi
     # they were brought to their threshold on purpose
     settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
     new = replace(new, sections=settled, energy=update_balance(ops, state, new, 0.0, Scheme()))
-    new = replace(new, friction=dissipated(state, new))
+    new = replace(new, friction=state.friction + dissipated(state.sections, settled))
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
 
 

@@ -129,7 +129,7 @@ def _moved(model: Model, state: State) -> State:
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
     energy = update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
-    friction = dissipated(state, new)
+    friction = state.friction + dissipated(state.sections, sections)
     state.destroy()
     return replace(new, energy=close_initial_balance(energy), friction=friction)
 

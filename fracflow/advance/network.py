@@ -23,7 +23,7 @@ from fracflow.model.network_parts import (
 )
 from fracflow.model.setup import Model
 from fracflow.model.state import State
-from fracflow.model.terms.term import StepOfTerms
+from fracflow.model.terms.term import TermStep
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
@@ -180,7 +180,7 @@ class FlowNetwork:
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
-        return ops.flow.conduct(state.motion.displacement, state.pressure, walls, StepOfTerms(state.memory))
+        return ops.flow.conduct(state.motion.displacement, state.pressure, walls, TermStep(state.memory))
 
     def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""

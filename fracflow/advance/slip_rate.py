@@ -15,7 +15,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.solve.request import StepRequest
 
-FINEST = 44  # halvings of a step: one of a century is a fifth of a millisecond then
+MOST_HALVINGS = 44  # halvings of a step: one of a century is a fifth of a millisecond then
 BENDS = 24.0  # a rate that changes by ln r within a step leaves an error of slip of (ln r)^2 over that
 LEAST = 1e-3  # of the largest slip of a step: what slips less has no error that counts
 

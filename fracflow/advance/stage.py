@@ -11,7 +11,7 @@ from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
-from fracflow.advance.slip_rate import FINEST, BySlipRate, creeps
+from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, creeps
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.integrators import Stepper
@@ -97,7 +97,7 @@ def composed(
     most = most_halvings(model.scene, fills(model, stepper) and not is_sought)
     most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
     by_rate = creeps(model) and not stepper.inertia
-    order, finest = estimator.order or by_rate, max(estimator.finest, FINEST * by_rate)
+    order, finest = estimator.order or by_rate, max(estimator.finest, MOST_HALVINGS * by_rate)
     rules = Rules(most, order, _events(stepping, stepper, whole), finest, estimator.of_flow or by_rate)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step

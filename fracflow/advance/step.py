@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fracflow._petsc import booked, destroy
+from fracflow._petsc import destroy, timed
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
@@ -179,7 +179,7 @@ class SingleStep:
     solvers: Stepping
     stepper: Stepper
 
-    @booked("FracStep")
+    @timed("FracStep")
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The state at the end of the step. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
         solvers, stepper, ops = self.solvers, self.stepper, self.solvers.model.operators
@@ -320,7 +320,7 @@ class SingleStep:
         return {
             "energy": update_balance(ops, state, new, dt, scheme),
             **_names(reached),
-            "friction": dissipated(state, new, sent),
+            "friction": state.friction + dissipated(state.sections, new.sections) - sent,
             "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
             "volumes": volumes,

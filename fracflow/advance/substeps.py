@@ -20,9 +20,7 @@ from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: the error that the next prompt part is expected to have
 GROWTH = 2.0  # of prompt parts, each over the last
-GRADES = (
-    8  # lengths of prompt parts in an octave: they do not follow round-off, so that all numbers of ranks take the same
-)
+GRADES = 8  # lengths of prompt parts in an octave, which do not follow round-off: all numbers of ranks take the same
 GRAIN = 2.0**-40  # of a step: sums of such lengths are exact
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from fracflow.cli.report import WIDTH
 from fracflow.mesh.plane.near import LINE, near_ones
-from fracflow.output.remarks import ACT, MARK, alike, parted, saved
+from fracflow.output.remarks import ACT, MARK, alike, part_of, parted, saved
 
 SIZES = ("cells", "displacement unknowns", "pressure unknowns", "steps")
 """Sizes that the short answer has; those of which no more than the cost follows."""
@@ -55,10 +55,10 @@ def short_answer(
     exact = [each for each in parts["left out"] if each["error"].startswith("none")]
     listed = [("left out, exact", exact), ("not in the scene", parts["not in the scene"]), ("kept", parts["kept"])]
     for each in (each for each in parts["left out"] if each not in exact):
-        say(f"left out: {_part(each)}; may err by: {each['error']}")
+        say(f"left out: {part_of(each)}; may err by: {each['error']}")
     for word, those in listed:
         if those:
-            say(f"{word}: {'; '.join(map(_part, those))}")
+            say(f"{word}: {'; '.join(map(part_of, those))}")
     for line in notes[:MOST_NOTES]:
         say(MARK + _first_words(line))
     rest = [f"{len(numbers)} numbers, criteria, all sizes"]
@@ -85,10 +85,6 @@ def shown(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {shown(each)}" for name, each in value.items())
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _part(decision: Mapping[str, Any]) -> str:
-    return f"{decision['part']}, stage {decision['stage']}" if decision["stage"] else str(decision["part"])
 
 
 def _first_words(line: str) -> str:
@@ -129,5 +125,5 @@ def report_plan(decisions: Records, console: Console) -> None:
             value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
             error = "" if verdict == "kept" or not each["error"] else f"; may err by: {each['error']}"
             why = f"{each['criterion']}: {value} (limit: {limit})"
-            table.add_row(*map(escape, (_part(each), why, saved(each) + error)))
+            table.add_row(*map(escape, (part_of(each), why, saved(each) + error)))
         console.print(table)

@@ -9,7 +9,7 @@ import numpy as np
 from fracflow.diagnostics.criticality import criticality
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
-from fracflow.mesh.plane.alone import map_cells
+from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.model.setup import place
 from fracflow.output.drawing.before_a_run import before_a_run
 from fracflow.output.drawing.network_map import Network, Places

@@ -20,11 +20,8 @@ from fracflow.elements.shape import Floats, Ints
 
 Bools = NDArray[np.bool_]
 
-FAR = (
-    (40.0, 3),
-    (10.0, 4),
-    (3.0, 6),
-)  # distance over length, and Gauss points of a segment: errors are 1e-13 from there on
+# distance over length, and Gauss points of a segment: errors are 1e-13 from there on
+FAR = ((40.0, 3), (10.0, 4), (3.0, 6))
 NEAR = ((0.5, 16), (0.1, 72), (0.0, 400))  # the same of one segment, where the integral along the other is exact
 TINY = float(np.finfo(float).tiny)
 CHUNK = 1 << 16  # pairs of segments whose points fit a processor's cache

@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from fracflow.laws.base import Floats
 
 SPACING = 1.0  # of the logarithms of the rates: the sum is then within 2.8 exp(-pi^2/SPACING) = 1.5e-4 of the kernel
 SLOW = 1e-3  # a rate times the longest time, below which an exponential stays 1
@@ -49,10 +48,10 @@ def exponentials(shortest: float, longest: float) -> Exponentials:
     first, last = np.log(SLOW / longest), np.log(FAST / shortest)
     x = first + SPACING * np.arange(int(np.ceil((last - first) / SPACING)) + 1)
     weights = SPACING * np.exp(0.5 * x) / np.pi
-    slow = (
-        SPACING * np.exp(0.5 * (x[0] - SPACING)) / np.pi / (1.0 - np.exp(-0.5 * SPACING))
-    )  # all slower ones, a geometric sum
-    fast = SPACING * np.exp(-0.5 * (x[-1] + SPACING)) / np.pi / (1.0 - np.exp(-0.5 * SPACING))
+    # what is left out on either side is a geometric sum
+    slow, fast = (
+        SPACING * np.exp(0.5 * (end - SPACING)) / np.pi / (1.0 - np.exp(-0.5 * SPACING)) for end in (x[0], -x[-1])
+    )
     return Exponentials(np.append(0.0, np.exp(x)), np.append(slow, weights), float(fast))
 
 

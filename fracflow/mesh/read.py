@@ -18,12 +18,12 @@ from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_wor
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
-from fracflow.mesh.plane.alone import cut, with_walls
 from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
+from fracflow.mesh.plane.unmeshed import cut, with_walls
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh", *FORMATS)
@@ -147,7 +147,7 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
     return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *_small_cells(between, misses, fine)))
 
 
-def build_alone(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
+def build_unmeshed(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
     """The joints of fractures in rock that is not meshed, and their walls; sizes as ``build_mesh`` has them, then halved.
 
     The domain is the box that traces are drawn in. Raises InputError for traces that cannot be made fit.

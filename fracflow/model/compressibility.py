@@ -14,7 +14,7 @@ from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
-from fracflow.model.terms.term import StepOfTerms, Term
+from fracflow.model.terms.term import Term, TermStep
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:
@@ -34,7 +34,7 @@ def _apertures(operators: Operators, state: State) -> Floats:
 def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
     """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
     network, result = operators.network, operators.layout.flow_vector()
-    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state), StepOfTerms(state.memory))
+    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state), TermStep(state.memory))
     network.taken_up(leaving.rate, result)
     return result
 

@@ -151,13 +151,10 @@ def spurious_share(totals: Mapping[str, float]) -> float:
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
 
-def dissipated(old: State, new: State, sent: Floats | float = 0.0) -> Floats:
-    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area].
-
-    Waves carry off ``sent`` (s,) of the plastic work of the step.
-    """
-    work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
-    return old.friction + 0.5 * work.sum(axis=1) - sent
+def dissipated(before: Sections, after: Sections) -> Floats:
+    """(2.27b) with (2.33b): plastic work at each section (s,) in a step, of which waves may carry off a part [energy/area]."""
+    work = (before.traction + after.traction) * (after.inelastic - before.inelastic)
+    return np.asarray(0.5 * work.sum(axis=1))
 
 
 def joint_work(weights: Floats, before: Sections, after: Sections) -> Floats:

@@ -17,7 +17,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.joints import Walls, jump_matrix
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, create_vector, product
 from fracflow.model.properties import along_fractures, resting_pressure
-from fracflow.model.terms.term import Leaving, StepOfTerms, Term
+from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
 
 STORAGE = {
@@ -141,7 +141,7 @@ class Flow:
     def _openings(self, displacement: PETSc.Vec, known: Floats | None) -> Floats:
         return product(self.opening, displacement).reshape(self.aperture.shape) if known is None else known
 
-    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls, step: StepOfTerms) -> Conduction:
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls, step: TermStep) -> Conduction:
         """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
         opening = self._openings(displacement, walls.opening)
         found = self.law.conductance(opening, walls.slip, walls.history, walls.step)
@@ -155,7 +155,7 @@ class Flow:
             None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0),
         )
 
-    def leaving(self, driving: Floats, aperture: Floats, step: StepOfTerms) -> Leaving | None:
+    def leaving(self, driving: Floats, aperture: Floats, step: TermStep) -> Leaving | None:
         """Fluid that leaves by terms at pressures above rest and apertures (j, 2); None without such terms."""
         found = [term.leaving(driving + self.resting_end, aperture, step) for term in self.terms]
         return Leaving(*(sum(parts) for parts in zip(*found, strict=True))) if found else None

@@ -26,7 +26,7 @@ from fracflow.mesh.locate import (
     tied_nodes,
 )
 from fracflow.mesh.plane.refine import refined
-from fracflow.mesh.read import GROWTH, GeometrySpec, build_alone, build_mesh, read_mesh
+from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
@@ -132,7 +132,7 @@ def naming(scene: Scene) -> Iterator[None]:
 def read_sized(scene: Scene) -> SplitMesh:
     """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
     if scene.is_unbounded:
-        mesh = build_alone(geometry_of(scene), scene.refine)
+        mesh = build_unmeshed(geometry_of(scene), scene.refine)
         scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, ())
         return mesh
     if scene.mesh_path is not None:

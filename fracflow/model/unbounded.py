@@ -11,10 +11,10 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.elements import dislocation
-from fracflow.mesh.blocks import Blocks, petsc_ints
+from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints, section_places, tractions_of
-from fracflow.model.layout import add_transposed, create_matrix
+from fracflow.model.layout import add_transposed, create_matrix, matrix_of
 from fracflow.model.properties import initial_stress
 from fracflow.scene.scene import Scene
 
@@ -88,8 +88,8 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
 
     width = np.zeros(last - first, dtype=np.int64)
     width[mine - first] = len(free)
-    csr = petsc_ints(np.concatenate([[0], np.cumsum(width)])), petsc_ints(np.tile(free, len(mine))), values.ravel()
-    return PETSc.Mat().createAIJ(((last - first, total), (last - first, total)), csr=csr, comm=comm)
+    csr = np.concatenate([[0], np.cumsum(width)]), np.tile(free, len(mine)), values.ravel()
+    return matrix_of(((last - first, total), (last - first, total)), csr, comm)
 
 
 def mass(blocks: Blocks) -> PETSc.Mat:

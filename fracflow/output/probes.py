@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fracflow.elements import solid
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
-from fracflow.mesh.plane.alone import map_cells
+from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
@@ -254,15 +254,15 @@ def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, state: State) -> 
     cells: Cells | UnmeshedRock
     if is_unmeshed(mesh.cells):
         points, squares = map_cells(mesh)
-        far = far_stress(scene, state.time, state.controls)
+        far, rocks = far_stress(scene, state.time, state.controls), np.zeros(len(squares), dtype=np.int64)
         nodes = UnmeshedRock(scene, mesh, points, motion, far)
         cells = UnmeshedRock(scene, mesh, points[squares].mean(axis=1), motion, far)
     else:
-        moves = state.energy["kinetic"] != 0.0
+        moves, rocks = state.energy["kinetic"] != 0.0, mesh.cell_rock
         nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
         cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
     point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
-    cell: Data = {"rock": mesh.cell_rock if isinstance(cells, Cells) else np.zeros(len(cells.points), dtype=np.int64)}
+    cell: Data = {"rock": rocks}
     for row in quantities("cell").values():
         if row.field:
             values = row.formula(cells)

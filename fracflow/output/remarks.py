@@ -105,6 +105,12 @@ def last_limit(lines: Iterable[str]) -> tuple[str, tuple[float, float]] | None:
     return (found[-1]["words"], places[0]) if places and all(map(isfinite, places[0])) else None
 
 
+def part_of(decision: Mapping[str, Any]) -> str:
+    """The part of the model that a decision's record is about, with its stage where it is of one."""
+    part, stage = str(decision.get("part", "")), decision.get("stage")
+    return f"{part}, stage {stage}" if stage else part
+
+
 def saved(decision: Mapping[str, Any]) -> str:
     """The saving of a part left out, or why it is kept, of a decision's record, without the words that its verdict says."""
     text = str(decision.get("saves", ""))

@@ -16,7 +16,7 @@ from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
 from fracflow.model.state import Sections, State
-from fracflow.model.terms.term import StepOfTerms
+from fracflow.model.terms.term import TermStep
 from fracflow.output.profiles import KEPT
 from fracflow.output.unmeshed import far_stress
 from fracflow.scene.quantities import OutputQuantity, quantities
@@ -177,7 +177,7 @@ class JointEnds:
         if flow is None:
             return None
         walls = self._operators.joints.walls(state.sections, flow.law)
-        return flow.conduct(state.motion.displacement, state.pressure, walls, StepOfTerms(state.memory))
+        return flow.conduct(state.motion.displacement, state.pressure, walls, TermStep(state.memory))
 
     @property
     def _through(self) -> Floats:

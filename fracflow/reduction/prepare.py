@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from fracflow._petsc import MPI, PETSc, booked
+from fracflow._petsc import MPI, PETSc, timed
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
@@ -38,7 +38,7 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
     return proposed(scene, build)
 
 
-@booked("FracSetUp", "Set up")
+@timed("FracSetUp", "Set up")
 def prepare(
     scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None, begins: bool = True
 ) -> Model:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fracflow.mesh.data import is_unmeshed
 from fracflow.output.history import last_of
-from fracflow.output.remarks import alike, bare, is_note, is_routine, saved
+from fracflow.output.remarks import alike, bare, is_note, is_routine, part_of, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
@@ -382,7 +382,7 @@ def plan_table(run: RunReport) -> str:
         is_out = any(each.get("left_out") for each in parts)
         heads = ("part", "criterion", "value", "limit", "saves" if is_out else "why", "may err by")
         cells = (
-            (_part(each), each.get("criterion", ""), short(each.get("value", "")), short(each.get("limit", "")), saved(each),
+            (part_of(each), each.get("criterion", ""), short(each.get("value", "")), short(each.get("limit", "")), saved(each),
              "" if each.get("verdict") == "kept" else each.get("error", ""))
             for each in parts
         )  # fmt: skip
@@ -395,14 +395,9 @@ def plan_table(run: RunReport) -> str:
         if parts and verdict == "left out":
             text += f"<h3>{word}</h3>{rows(parts)}"
         elif parts:
-            names = "; ".join(map(_part, parts))
+            names = "; ".join(map(part_of, parts))
             text += f"<details><summary>{word}: {safe(names)}</summary>{rows(parts)}</details>"
     return text
-
-
-def _part(decision: Mapping[str, Any]) -> str:
-    stage = decision.get("stage")
-    return f"{decision.get('part', '')}{f', stage {stage}' if stage else ''}"
 
 
 def check_table(run: RunReport) -> str:

@@ -21,10 +21,8 @@ from fracflow.scene.values import AlongFracture, FractureEnd
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
 LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
-FAR, DECIMALS = (
-    10.0,
-    3,
-)  # of degrees on a map: extents from (0, 0) to it, and digits that coordinates on a plane may have
+FAR = 10.0  # extents of a map in degrees that lie between it and (0, 0)
+DECIMALS = 3  # that coordinates on a plane may have
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have

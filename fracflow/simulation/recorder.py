@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fracflow._petsc import MPI, booked
+from fracflow._petsc import MPI, timed
 from fracflow._version import __version__
 from fracflow.advance.step import Step
 from fracflow.diagnostics import as_lines, pre_run_checks
@@ -20,7 +20,7 @@ from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats, is_unmeshed
 from fracflow.mesh.locate import FracturePlace
-from fracflow.mesh.plane.alone import map_cells
+from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
@@ -119,7 +119,7 @@ class Recorder:
         except OSError as error:
             self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
 
-    @booked("FracOutput", "Output")
+    @timed("FracOutput", "Output")
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         sample, scene = sampling.StateSampler(self.sampler, step.state), self.model.scene
@@ -149,7 +149,7 @@ class Recorder:
             return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
         return "no state is on disk yet: make room, or look at the disk, then start the run again"
 
-    @booked("FracOutput", "Output")
+    @timed("FracOutput", "Output")
     def last(self, step: Step, whole: bool = True) -> None:
         """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.
 
@@ -183,7 +183,7 @@ class Recorder:
             values = fracture_fields(self.sampler.fields, ends)
             self._write(lambda files: files.fields(index, sample.state, values, motion))
 
-    @booked("FracOutput", "Output")
+    @timed("FracOutput", "Output")
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
         if step.progress is None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fracflow._petsc import MPI, booked
+from fracflow._petsc import MPI, timed
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
@@ -244,7 +244,7 @@ def is_moving(scene: Scene, step: Step) -> bool:
     return is_last and (scene.stage[step.stage].kind == "dynamic" or bool((step.progress or {}).get("moves")))
 
 
-@booked("FracSteps", "Steps")
+@timed("FracSteps", "Steps")
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, observer: Observer
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:

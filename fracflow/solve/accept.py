@@ -63,7 +63,7 @@ def memories_after(problem: StepProblem) -> dict[str, Floats]:
     network, memory = problem.operators.flow, problem.state.memory
     if network is None or not memory:
         return {}
-    pressure, step = network.at_ends(problem.pressure), problem.step_of_terms()
+    pressure, step = network.at_ends(problem.pressure), problem.term_step()
     return {term.name: term.memory_after(pressure, step) for term in network.terms if term.name in memory}
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, booked, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import InputError, NotConverged
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats, Ints
@@ -35,7 +35,7 @@ BLOCK = 64  # right sides at once: with more of them each takes no less time
 class CondensedRock:
     """Factors of A and the compliance G A^-1 G' of all sections, dense, on rank 0."""
 
-    @booked("FracCondense")
+    @timed("FracCondense")
     def __init__(self, matrix: JoinedMatrix, loads: Loads, alphas: Alphas, elastic: Floats) -> None:
         """Factor and condense; ``elastic`` is D_0 (s, dim, dim). Raises NotConverged, on every rank. Collective."""
         self.operators, self.held = matrix.operators, loads.held

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, booked, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -188,7 +188,7 @@ class JoinedMatrix:
         """Those of the last filling."""
         return self._filled[0] if self._filled is not None else None
 
-    @booked("FracAssemble")
+    @timed("FracAssemble")
     def fill(
         self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None = None
     ) -> bool:

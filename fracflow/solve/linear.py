@@ -310,9 +310,8 @@ class KeptFactors:
             else:
                 self._spent += max(taken - USUAL, 0)
         if self.solver.getConvergedReason() <= 0 and self.solver.getResidualNorm() > UNSOLVED * given.norm():
-            self.solver.getPC().apply(
-                given, step
-            )  # FGMRES fits the round-off of stiff rows where it exceeds the right side
+            # FGMRES fits the round-off of stiff rows where it exceeds the right side
+            self.solver.getPC().apply(given, step)
             taken += 1
         self._is_fresh = False
         return taken

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fracflow._petsc import PETSc, booked, destroy
+from fracflow._petsc import PETSc, destroy, timed
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
@@ -23,7 +23,7 @@ from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
-from fracflow.model.terms.term import StepOfTerms
+from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
@@ -147,7 +147,7 @@ class StepProblem:
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
 
-    @booked("FracEvaluate")
+    @timed("FracEvaluate")
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial. Sections keep ``trial_status``, or with ``hold`` False may leave it once.
 
@@ -198,7 +198,7 @@ class StepProblem:
         self._known = strain
         return strain
 
-    @booked("FracLaws")
+    @timed("FracLaws")
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
         return self.operators.joints.evaluate(strain, self.trial_status, self.law_step(hold))
@@ -207,9 +207,9 @@ class StepProblem:
         """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
         return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
-    def step_of_terms(self) -> StepOfTerms:
+    def term_step(self) -> TermStep:
         """The same for terms with a memory."""
-        return StepOfTerms(self.state.memory, self.alphas, self.time - self.state.time)
+        return TermStep(self.state.memory, self.alphas, self.time - self.state.time)
 
     def accept(self, answer: Sections) -> None:
         """Take the response of the sections to the present motion."""
@@ -259,7 +259,7 @@ class StepProblem:
         result.setArray(self.taken_up)
         return result
 
-    @booked("FracFlow")
+    @timed("FracFlow")
     def _flow_balance(self, speed: PETSc.Vec) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
@@ -269,10 +269,8 @@ class StepProblem:
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
-        self.conduction, self._widest = (
-            network.conduct(self.displacement, self.pressure, walls, self.step_of_terms()),
-            None,
-        )
+        self.conduction = network.conduct(self.displacement, self.pressure, walls, self.term_step())
+        self._widest = None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression

@@ -96,8 +96,8 @@ def multigrid(unknowns: int, dim: int = 2, krylov: float | None = None) -> Cost:
 def takes_multigrid(rock_solver: str, unknowns: int, dim: int = 2, memory: float = math.inf) -> bool:
     """Whether so many displacements are solved for by multigrid: as the scene says, or by the cost.
 
-    ``auto`` takes multigrid where it is expected to take clearly less time: LU needs no estimate of its iterations. It does so too
-    where the factors of LU do not fit into the ``memory`` at hand [bytes].
+    ``auto`` takes multigrid where it is expected to take clearly less time: LU needs no estimate of its iterations. It does
+    so too where the factors of LU do not fit into the ``memory`` at hand [bytes].
     """
     if rock_solver != "auto":
         return rock_solver == "multigrid"

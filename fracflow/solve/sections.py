@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, booked, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -21,6 +21,7 @@ from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
+from fracflow.solve.failure import fractures_of
 from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.problem import StepProblem
@@ -63,7 +64,7 @@ class FlowOnJoints:
         """
         network, joints, flow = self.operators.network, self.operators.joints, problem.flow_balance
         walls = joints.walls(problem.sections, network.law, problem.law_step())
-        conduction = network.conduct(problem.displacement, problem.pressure, walls, problem.step_of_terms())
+        conduction = network.conduct(problem.displacement, problem.pressure, walls, problem.term_step())
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
         slope = conduction.tangents(problem.alphas.b1)[1]
@@ -190,7 +191,7 @@ class SectionSolver:
         now = self.total_traction(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
-    @booked("FracSections")
+    @timed("FracSections")
     def solve(
         self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
@@ -214,8 +215,9 @@ class SectionSolver:
                     return change, replace(report, iterations=total)
         finally:
             destroy(given)
+        where = fractures_of(self.operators.blocks, changed) or "the network"
         raise NotConverged(
-            f"time {problem.time:.6g}: {self._named(changed)} keeps changing between sticking and sliding within one explicit"
+            f"time {problem.time:.6g}: {where} keeps changing between sticking and sliding within one explicit"
             " step: take a smaller time_step",
             kind="statuses",
         )
@@ -255,8 +257,9 @@ class SectionSolver:
             allowed = comm.allreduce(joints.step_limit(before.strain + change, step), op=MPI.MIN)
             change = change + allowed * step
         stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
+        where = fractures_of(self.operators.blocks, stuck) or "the network"
         raise NotConverged(
-            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and flow in {most} iterations of an"
+            f"time {problem.time:.6g}: {where} found no balance of joints and flow in {most} iterations of an"
             f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
             " time_step",
             kind="sections",
@@ -311,13 +314,6 @@ class SectionSolver:
         matrix = np.einsum("cxmi,cmij->cxmj", compliance, moduli).reshape(*right.shape[:2], -1)
         matrix += np.eye(right.shape[1])
         return np.asarray(np.linalg.solve(matrix, right))
-
-    def _named(self, chosen: np.ndarray) -> str:
-        """Fractures that have chosen sections (s,) of any rank. Collective."""
-        block, comm = self.operators.blocks.joints, self.operators.layout.comm
-        fracture = np.repeat(block.fracture, self.operators.joints.points)
-        here = {block.fractures[number] for number in fracture[chosen]}
-        return ", ".join(sorted(set().union(*comm.allgather(here)))) or "the network"
 
     def destroy(self) -> None:
         """Free the flow's solver. Collective."""

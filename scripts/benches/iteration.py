@@ -51,7 +51,7 @@ EVALUATIONS = "evaluations of an iteration"
 
 def worker(scene: str, folder: str, result: str, *overrides: str) -> None:
     """Run a scene under the stopwatch; rank 0 writes milliseconds an iteration, by part."""
-    from fracflow._petsc import MPI, PETSc
+    from fracflow._petsc import MPI, PETSc, logged
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
 
@@ -64,9 +64,7 @@ def worker(scene: str, folder: str, result: str, *overrides: str) -> None:
         return
     made = totals.newton + totals.wasted
     each = {name: 1e3 * watch.parts[name]["cpu"] / made for name in (*OF_ITERATION, *OF_STEP)}
-    spent = {
-        name: sum(PETSc.Log.Event(event).getPerfInfo()["time"] for event in events) for name, events in EVENTS.items()
-    }
+    spent = {name: sum(logged(event, "time") for event in events) for name, events in EVENTS.items()}
     wall, cpu = watch.parts[PETSC]["wall"], each.pop(PETSC)
     parts = {f"{PETSC}: {name}": cpu * seconds / wall for name, seconds in spent.items()}
     rest = {f"{PETSC}: all else": cpu - sum(parts.values())}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, logged
 from fracflow.errors import SolveError
 
 Floats = NDArray[np.float64]
@@ -85,9 +85,7 @@ def nodes_of(mesh: str) -> int:
 
 def counts() -> dict[str, int]:
     """Work so far, of this process."""
-    return {
-        name: sum(PETSc.Log.Event(event).getPerfInfo()["count"] for event in events) for name, events in WORK.items()
-    }
+    return {name: int(sum(logged(event, "count") for event in events)) for name, events in WORK.items()}
 
 
 def measure(problem: Problem, repeats: int, levels: int | None = None) -> list[Point]:

@@ -9,11 +9,12 @@ import pytest
 import sliding
 
 pytestmark = pytest.mark.serial
+BOTH = ("lu", "multigrid")
 
 
 def test_one_step_with_soft_joints_by_all_ways():
-    found = {row["way"]: row for row in sliding.one_step(1500, 1e15, 1e4, sliding.WAYS)}
-    assert found.keys() == set(sliding.WAYS)
+    found = {row["way"]: row for row in sliding.one_step(sliding.Row(1500, normal=1e15, shear=1e4), BOTH)}
+    assert found.keys() == set(BOTH)
     assert all(not row["failure"] and row["newton"] > 0 for row in found.values())
     assert found["lu"]["krylov"] == 1 < found["multigrid"]["krylov"] < sliding.MOST / 2
 
@@ -21,7 +22,7 @@ def test_one_step_with_soft_joints_by_all_ways():
 @pytest.mark.starts_ranks
 def test_sliding_network(tmp_path):
     """Hundreds of sections slide; multigrid takes the steps and statuses of LU, in few iterations."""
-    found = sliding.run_network(1200, 3, sliding.WAYS, tmp_path, patience=200.0)
+    found = sliding.run_network(1200, 3, BOTH, tmp_path, patience=200.0)
     assert not sliding.missed(found, []) and all(row["reached"] == 1.0 for row in found)
     direct, multigrid = found
     assert max(multigrid["slipping"]) > 50 and len(multigrid["krylov"]) == 4

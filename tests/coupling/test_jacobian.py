@@ -15,7 +15,7 @@ from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, New
 from fracflow.laws import FLOW_LAWS
 from fracflow.model.compressibility import rate_by
 from fracflow.model.state import PreviousStep
-from fracflow.model.terms.term import Leaving, Term
+from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
@@ -87,7 +87,7 @@ class Seeps(Term):
     def __init__(self, size, speed):
         self.size, self.speed = size, speed
 
-    def leaving(self, pressure, aperture):
+    def leaving(self, pressure, aperture, step):
         share = pressure / self.size
         return Leaving(*(self.speed * np.array([share**2 * aperture, 2.0 * share / self.size * aperture, share**2])))
 
@@ -111,7 +111,7 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
     check_around(scene, problem, random)
     rate, same = rate_by(operators, seeps, state), operators.layout.flow_vector()
     aperture = flow.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
-    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
+    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture, problem.term_step()).rate, same)
     assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
     sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
     assert all(MPI.COMM_WORLD.allreduce(float(size), op=MPI.MAX) > 0.0 for size in sizes)
@@ -132,7 +132,7 @@ def test_jacobian_where_a_part_keeps_its_fluid():
         replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64)),
     )
     walls = operators.joints.walls(state.sections, operators.flow.law)
-    network.check(operators.flow.conduct(state.motion.displacement, state.pressure, walls))
+    network.check(operators.flow.conduct(state.motion.displacement, state.pressure, walls, TermStep(state.memory)))
     closed = network.close(sealed, stores=False)
     assert {closure.by for closure in closed.closures} == {"fluid"}
     problem = StepProblem(
@@ -253,7 +253,7 @@ def test_flow_volume_balance():
     pressure, out = ops.layout.flow_vector(), ops.layout.flow_vector()
     pressure.setArray(np.random.default_rng(4 + ops.layout.comm.rank).standard_normal(pressure.getLocalSize()))
     conduction = ops.flow.conduct(
-        speed * 0.0, pressure, ops.joints.walls(equilibrium_state(prepared).sections, ops.flow.law)
+        speed * 0.0, pressure, ops.joints.walls(equilibrium_state(prepared).sections, ops.flow.law), TermStep()
     )
     ops.flow.outflow(conduction, out)
     size = ops.layout.comm.allreduce(np.abs(out.getArray()).sum())

@@ -74,7 +74,7 @@ def test_a_run_is_replaced_only_by_a_scene_that_can_run(still, monkeypatch, capf
         said = capfd.readouterr()
         assert (end.value.code or 0) == (0 if is_told else 2), said.err
         assert said.out.count("is replaced") == is_told
-    unusual = "note: rock.rock.youngs_modulus = 5e+07 N/m^2 is unusually small: is its unit right?"
+    unusual = "! rock.rock.youngs_modulus = 5e+07 N/m^2 is unusually small: is its unit right?"
     assert unusual in said.out and unusual in (still / "log.txt").read_text()
 
 

@@ -85,6 +85,6 @@ def test_equal_parts_of_a_step_keep_the_most():
         made = SimpleNamespace(controls={}, destroy=lambda: None)
         return Outcome(made, StepReport(widening=grown, widest=f"part {grown}"))
 
-    explicit, inner = SimpleNamespace(count=lambda length: 3), SimpleNamespace(advance=part)
+    explicit, inner = SimpleNamespace(count=lambda length: 3, leapfrog=None), SimpleNamespace(advance=part)
     report = ExplicitSubsteps(inner, explicit).advance(state, StepRequest(1.0, 1.0, {}, None, next_length=0.0)).report
     assert (report.widening, report.widest) == (3.0, "part 3.0")

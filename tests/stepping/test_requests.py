@@ -65,7 +65,7 @@ def test_a_part_ends_at_a_jump_and_is_followed_by_none():
 
 def test_explicit_substeps_are_equal_and_know_what_follows_them():
     inner = Straight()
-    explicit = SimpleNamespace(count=lambda length: round(length / 0.25))
+    explicit = SimpleNamespace(count=lambda length: round(length / 0.25), leapfrog=None)
     found = ExplicitSubsteps(inner, explicit).advance(at({"p": 1.0}), HALF.part({"p": 1.0}, 0.0, 1.0))
     assert [each.time for each in inner.asked] == [14.25, 14.5, 14.75, 15.0] and found.reached == 1.0
     assert [each.controls["p"] for each in inner.asked] == [1.5, 2.0, 2.5, 3.0]

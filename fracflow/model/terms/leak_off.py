@@ -11,7 +11,7 @@ from fracflow.laws.leak_off import Exponentials, exponentials, leak_off_coeffici
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
-from fracflow.model.terms.term import Leaving, StepOfTerms, Term
+from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
 
 SHORTEST = 1e-3  # of the least step of the stages: substeps are shorter
@@ -60,7 +60,7 @@ class LeakOff(Term):
         found[..., PRESSURE] = pressure
         return found
 
-    def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms) -> Leaving:
+    def leaving(self, pressure: Floats, aperture: Floats, step: TermStep) -> Leaving:
         """Fluid that leaves at the ends of this rank's joints (j, 2)."""
         memory, none = step.memory[self.name], np.zeros(pressure.shape)
         if step.alphas is None or step.alphas.b1 == 0.0:
@@ -70,7 +70,7 @@ class LeakOff(Term):
         rate = first_rate(step.alphas, volume, 0.0, memory[..., RATE], memory[..., MEAN])
         return Leaving(rate, step.alphas.b1 * slope, none)
 
-    def memory_after(self, pressure: Floats, step: StepOfTerms) -> Floats:
+    def memory_after(self, pressure: Floats, step: TermStep) -> Floats:
         """Memory (j, 2, m) after a step to these pressures (j, 2) at the joint ends; a steady one leaves rock all its time."""
         memory = step.memory[self.name]
         if step.alphas is None or step.alphas.b1 == 0.0:

@@ -13,11 +13,9 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import assembled_at_nodes
-from fracflow.model.terms.term import Leaving, StepOfTerms, Term
+from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import LawTable
-
-NOW = StepOfTerms()
 
 
 def terms_of_laws(operators: Operators, scene: Scene) -> tuple[Term, ...]:
@@ -69,14 +67,14 @@ class OnFractures(Term):
         self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * flow.length
         self._laws = [(joints_of(operators.blocks, table.on), table.made()) for table in tables]
         sizes = (sign * operators.scales.pressure + flow.resting_end for sign in (-1.0, 1.0))
-        slopes = [self.leaving(pressure, flow.aperture).by_pressure.any(axis=1) for pressure in sizes]
+        slopes = [self.leaving(pressure, flow.aperture, TermStep()).by_pressure.any(axis=1) for pressure in sizes]
         self._settled = np.flatnonzero(slopes[0] | slopes[1])
 
     def joints(self) -> np.ndarray:
         """Numbers (k,) of this rank's joints whose pressure it settles: what leaves at a given rate settles none."""
         return self._settled
 
-    def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms = NOW) -> Leaving:
+    def leaving(self, pressure: Floats, aperture: Floats, step: TermStep) -> Leaving:
         """Fluid that leaves at the ends of this rank's joints (j, 2)."""
         total = Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
         for here, law in self._laws:

@@ -49,7 +49,7 @@ class Leaving(NamedTuple):
     by_aperture: Floats
 
 
-class StepOfTerms(NamedTuple):
+class TermStep(NamedTuple):
     """A step as terms with a memory see it.
 
     memory  of each such term at the start of the step, or at the instant, by its name
@@ -112,7 +112,7 @@ class Term:
         """Its memory (j, 2, m) at the ends of this rank's joints at the start, if it has one."""
         return np.zeros((0, 2, 0))
 
-    def memory_after(self, pressure: Floats, step: StepOfTerms) -> Floats:
+    def memory_after(self, pressure: Floats, step: TermStep) -> Floats:
         """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
         return step.memory[self.name]
 
@@ -120,7 +120,7 @@ class Term:
         """Fluid that left this rank's joints in the last step, by the memory (j, 2, m) after it [volume per thickness]."""
         return 0.0
 
-    def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms) -> Leaving:
+    def leaving(self, pressure: Floats, aperture: Floats, step: TermStep) -> Leaving:
         """Fluid that leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
         return Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, booked, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
@@ -159,7 +159,7 @@ class FixedPoint:
                 break
         raise _Lost("", total, left)
 
-    @booked("FracFlowSolve")
+    @timed("FracFlowSolve")
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
         """(4.5a) Changes (n,) that the flow makes to this rank's pressures, the walls as they are. Collective."""
         unit, scale = problem.operators.scales.pressure, problem.flow_scale()

@@ -14,10 +14,11 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.errors import NotConverged
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Bools, Floats
+from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections
 from fracflow.solve.clusters import Clusters
+from fracflow.solve.failure import fractures_of
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.residual import over_ranks
 from fracflow.solve.sections import MOTION_ROUND_OFF, TIGHT
@@ -84,16 +85,18 @@ class JointSolver:
                 return Solved(answer, total, worst / moved if moved > 0.0 else 0.0)
             rounds, since = rounds + 1, 0
             if rounds == MOST_CHANGES:
+                where = fractures_of(self.operators.blocks, changed) or "the network"
                 raise NotConverged(
-                    f"time {step.time:.6g}: {self._named(changed)} keeps changing between sticking and sliding within one"
+                    f"time {step.time:.6g}: {where} keeps changing between sticking and sliding within one"
                     " explicit step: take a smaller time_step",
                     kind="statuses",
                 )
             status = self._with_status(before, found)
             answer = joints.evaluate(before.strain + change, status, held)
             left, moduli, _ = self._balance(before, free, change, answer)
+        where = fractures_of(self.operators.blocks, (beyond > TIGHT * moved).any(axis=1)) or "the network"
         raise NotConverged(
-            f"time {step.time:.6g}: {self._named((beyond > TIGHT * moved).any(axis=1))} found no balance of joints in"
+            f"time {step.time:.6g}: {where} found no balance of joints in"
             f" {self.most} iterations of an explicit step (motion of sections out by {worst:.1e}): take a smaller time_step",
             kind="sections",
         )
@@ -137,10 +140,3 @@ class JointSolver:
             answer = np.linalg.solve(tangent, there[batch.sections].reshape(number, -1, 1))
             result[batch.sections] = answer.reshape(number, members, dim)
         return result if self._is_alone else self.clusters.exchange.back(result)
-
-    def _named(self, chosen: Bools) -> str:
-        """Fractures that have chosen sections (s,) of any rank. Collective."""
-        block, comm = self.operators.blocks.joints, self.operators.layout.comm
-        fracture = np.repeat(block.fracture, self.operators.joints.points)
-        here = {block.fractures[number] for number in fracture[chosen]}
-        return ", ".join(sorted(set().union(*comm.allgather(here)))) or "the network"

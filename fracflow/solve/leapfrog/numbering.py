@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import Blocks, petsc_ints
@@ -58,7 +57,8 @@ def order_of_sweep(cells: Ints, owned: int, late: Bools) -> Ints:
     lowest = np.where(cells >= 0, cells, count).min(axis=1, initial=count)
     order = np.arange(owned)
     if len(cells) and float((cells.max(axis=1) - lowest).mean()) > NEAR:
-        from scipy.sparse.csgraph import reverse_cuthill_mckee  # imports much
+        from scipy import sparse  # imports much
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
 
         width = cells.shape[1]
         pairs = [np.stack([cells[:, i], cells[:, j]], 1) for i in range(width) for j in range(width) if i != j]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
@@ -235,12 +234,15 @@ class AssembledRock:
 
     def __init__(self, operators: Operators, springs: PETSc.Mat | None) -> None:
         """Make the matrix. Collective."""
+        from scipy import sparse  # imports much
+
         count, self.energy = operators.layout.solid_count, 0.0
         rock, self._matrix = operators.stiffness, None
         if springs is not None:
             rock = rock.copy()
             rock.axpy(-1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         indptr, indices, values = rock.getValuesCSR()
+
         square = sparse.csr_matrix((values, indices, indptr), shape=(count, rock.getSize()[1])).tobsr((2, 2))
         square.sort_indices()
         csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))

@@ -13,7 +13,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.energy import added, joint_parts, joint_work
+from fracflow.model.energy import added, dissipated, joint_parts, joint_work
 from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Loads
 from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State, StepReport
@@ -96,7 +96,7 @@ class Leapfrog:
 
 
 @dataclass
-class Books:
+class BalanceSums:
     """Sums over the steps between two states, of this rank [energy per thickness].
 
     scheme, boundaries   see ``integrators.explicit.scheme_energy``, and the work of what is held and of loads that change
@@ -112,7 +112,7 @@ class Books:
 
 
 @dataclass(frozen=True)
-class Rock:
+class RockSums:
     """Sums over the rock at one instant, of this rank.
 
     strain    strain energy;  ``springs`` that of the K of terms
@@ -137,7 +137,7 @@ class Run:
         self.last: State | None = None
         self.constant = np.zeros(self.rock.e.shape)
         self.loaded = np.zeros(0, dtype=np.int64)
-        self.sums: Rock | None = None
+        self.sums: RockSums | None = None
 
     def begin(self, state: State, dt: float) -> bool:
         """Take over a state; False where its loads are others than those of ``Nodes``. Collective."""
@@ -147,10 +147,7 @@ class Run:
             return False
         self.last = None
         if is_new:
-            motion = state.motion
-            for vector, values in zip(
-                (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
-            ):
+            for vector, values in zip(state.motion.vectors, (rock.u, rock.v, rock.a), strict=True):
                 rock.begin(vector, values)
             rock.step(0.0, 0.0)
             self.sums = self._rock_sums()
@@ -174,7 +171,7 @@ class Run:
         self.powers = dict(forces.powers)
         self.a, self.held_at = rock.a[nodes.places], rock.u[nodes.places[nodes.at_held]]
         self.held_speed = rock.v[nodes.places[nodes.at_held]]
-        self.books = Books(0.0, 0.0, {}, {}, np.zeros(4))
+        self.balance = BalanceSums(0.0, 0.0, {}, {}, np.zeros(4))
         rock.start(dt)
         return True
 
@@ -200,7 +197,7 @@ class Run:
         constant.destroy()
         return True
 
-    def _rock_sums(self) -> Rock:
+    def _rock_sums(self) -> RockSums:
         """Those of the present instant, of whose displacements the last sweep was."""
         nodes, rock = self.nodes, self.rock
         springs = {}
@@ -211,7 +208,7 @@ class Run:
         of_held = rock.a[nodes.places[nodes.at_held]]
         pushed -= float(nodes.mass[nodes.held] @ of_held**2)
         constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
-        return Rock(rock.energy, springs, moving, pushed, prestress, constant)
+        return RockSums(rock.energy, springs, moving, pushed, prestress, constant)
 
     def predict(self, time: float, controls: Mapping[str, float], around: Around) -> None:
         """Motion of all nodes in a step without what joints change in it. Collective."""
@@ -244,9 +241,8 @@ class Run:
         moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
         record = np.maximum(before.record, np.linalg.norm(found.traction, axis=1))
         self.sections = replace(found, blur=round_off_of_jumps(before.blur, moved), record=record)
-        self.books.joints += joint_work(nodes.operators.joints.weights, before, self.sections)
-        work = (before.traction + found.traction) * (found.inelastic - before.inelastic)
-        self.friction = self.friction + 0.5 * work.sum(axis=1)
+        self.balance.joints += joint_work(nodes.operators.joints.weights, before, self.sections)
+        self.friction = self.friction + dissipated(before, found)
 
     def move(self, time: float, around: Around, is_last: bool) -> None:
         """Forces at the end of a step, and the motion of all nodes on to the middle of the next. Collective."""
@@ -281,9 +277,9 @@ class Run:
             v[nodes.held_of_own] = self.held_speed
             rock.a[own] = at_own
         rock.v[own] = v
-        free, books = ~nodes.is_held, self.books
-        books.scheme += scheme_work(dt, float(self.pushed[free] @ (old_a + a)[free]))
-        books.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
+        free, balance = ~nodes.is_held, self.balance
+        balance.scheme += scheme_work(dt, float(self.pushed[free] @ (old_a + a)[free]))
+        balance.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
         for name, each in self.damped.items():
             self._take(name, old_damped[name], each, nodes.at_damped[name])
         for name, each in resisting.items():
@@ -292,7 +288,7 @@ class Run:
 
     def _take(self, name: str, old: Floats, new: Floats, at: Any) -> None:
         work = 0.5 * float((old + new) @ self.moved[at])
-        self.books.taken[name] = self.books.taken.get(name, 0.0) + work
+        self.balance.taken[name] = self.balance.taken.get(name, 0.0) + work
 
     def _own_nodes(self, force: Floats, v: Floats, time: float, around: Around) -> tuple[Floats, dict[str, Floats]]:
         """Accelerations (n,) of nodes with supports or dashpots, and the forces of terms there at the end of the step.
@@ -321,7 +317,7 @@ class Run:
                 support += each[held]
             inertia = 0.5 * mass * (old_a + a[held])
             gained = 0.5 * (old_speed + speed[held]) * mass * (speed[held] - old_speed)
-            self.books.boundaries += float((0.5 * (self.support + support) - inertia) @ moved + gained.sum())
+            self.balance.boundaries += float((0.5 * (self.support + support) - inertia) @ moved + gained.sum())
             self.support = support
         return a, found
 
@@ -334,7 +330,7 @@ class Run:
             assert power is not None
             found[term.name] = force.getArray(readonly=True)[nodes.own].copy()
             brought = 0.5 * self.dt * (self.powers.get(term.name, 0.0) + power)
-            self.books.brought[term.name] = self.books.brought.get(term.name, 0.0) + brought
+            self.balance.brought[term.name] = self.balance.brought.get(term.name, 0.0) + brought
             self.powers[term.name] = power
             force.destroy()
         return found
@@ -344,9 +340,7 @@ class Run:
         nodes, rock, layout = self.nodes, self.rock, self.nodes.operators.layout
         rock.stop()
         motion = Motion(*(layout.solid_vector() for _ in range(3)))
-        for vector, values in zip(
-            (motion.displacement, motion.velocity, motion.acceleration), (rock.u, rock.v, rock.a), strict=True
-        ):
+        for vector, values in zip(motion.vectors, (rock.u, rock.v, rock.a), strict=True):
             rock.end(values, vector)
 
         def at(numbers: Ints, values: Floats) -> PETSc.Vec:
@@ -381,21 +375,21 @@ class Run:
 
     def _parts(self) -> dict[str, float]:
         """Entries that the steps add to the energy balance. Collective."""
-        nodes, books, before, after = self.nodes, self.books, self.old_sums, self.sums
+        nodes, balance, before, after = self.nodes, self.balance, self.old_sums, self.sums
         assert before is not None and after is not None
-        here = {f"taken {term.name}": books.taken.get(term.name, 0.0) for term in nodes.operators.terms}
+        here = {f"taken {term.name}": balance.taken.get(term.name, 0.0) for term in nodes.operators.terms}
         for name, energy in after.springs.items():
             here[f"taken {name}"] += energy - before.springs[name]
         here |= {
             "kinetic": 0.5 * (after.moving - before.moving),
             "rock_strain": after.strain - before.strain + after.prestress - before.prestress,
-            "scheme": books.scheme + scheme_energy(self.dt, before.pushed, after.pushed),
-            "work_boundaries": books.boundaries + after.constant - before.constant,
+            "scheme": balance.scheme + scheme_energy(self.dt, before.pushed, after.pushed),
+            "work_boundaries": balance.boundaries + after.constant - before.constant,
         }
-        values = nodes.operators.layout.comm.allreduce(np.concatenate([list(here.values()), books.joints]))
+        values = nodes.operators.layout.comm.allreduce(np.concatenate([list(here.values()), balance.joints]))
         total = dict(zip(here, values.tolist(), strict=False))
         parts = {name: value for name, value in total.items() if not name.startswith("taken ")}
         parts |= joint_parts(values[len(here) :])
         for term in nodes.operators.terms:
-            parts |= term.energy(total[f"taken {term.name}"], books.brought.get(term.name, 0.0))
+            parts |= term.energy(total[f"taken {term.name}"], balance.brought.get(term.name, 0.0))
         return parts

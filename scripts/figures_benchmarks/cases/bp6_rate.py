@@ -78,7 +78,7 @@ def run(size: float) -> Ran:
 
 
 BENCHMARK = Benchmark(
-    "BP6", "BP6",
+    "BP6, rate and state", "BP6, rate and state",
     "SEAS BP6-QD-A (Lambert et al. 2025), quasi-dynamic, ageing law, pressure given; boundary elements of 12.5 m",
     "the boundary elements are our own; they agree with five public decks in their parameters",
     (Bar("slip at z = 0", 0.006, None, 0.01), Bar("potency", 0.01, None, 0.01), Bar("largest rate", 0.02, None, 0.02)),
