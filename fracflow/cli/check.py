@@ -114,6 +114,8 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         seconds += steps * ITERATIONS * each
         found |= cost_of_events(model, each, ITERATIONS)
         parts.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
-    without = ", without those of events and searches" if more else ""
+    besides = ["events and searches"] if more else []
+    besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []
+    without = f", without those of {' and of '.join(besides)}" if besides else ""
     found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(parts)}"
     return found

@@ -29,9 +29,9 @@ def picture_of_scene(scene: Scene, output: Path | None) -> list[str]:
     mesh = read_split(scene)
     marks, notes = _marks(scene, mesh)
     near = criticality(scene, mesh)
-    cells = 0 if is_unmeshed(mesh.cells) else len(mesh.cells)
+    cells = "Rock without cells" if is_unmeshed(mesh.cells) else f"{len(mesh.cells)} cells"
     below = (
-        f"{cells} cells, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
+        f"{cells}, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
         f" {len(mesh.joint_fracture)} joints. From the initial stress and pressure, with rock and other fractures at rest"
     )
     try:

@@ -28,8 +28,8 @@ from fracflow.scene.units import LENGTH, TIME, VOLUME
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
-    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "damping",
-    "scheme", "spurious", "dropped",
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "leak_off",
+    "damping", "scheme", "spurious", "dropped",
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 WIDTH = 100  # columns of a table, where the terminal has no fewer
@@ -162,7 +162,7 @@ def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) 
         return
     at = shown_plain(shown(TIME, found.time, units, 6))
     table = Table(title=escape(f"Fractures at {at}"), title_style="bold", box=SIMPLE_HEAD, padding=0)
-    table.add_column("fracture", overflow="fold", min_width=8)
+    table.add_column("fracture", overflow="fold", min_width=min(12, max(map(len, found.names), default=8)))
     columns = {key: values for key, values in found.columns.items() if np.isfinite(values).any()}
     scales = {key: unit_for(COLUMNS[key], _largest(values), units) for key, values in columns.items()}
     for key, (_, unit) in scales.items():

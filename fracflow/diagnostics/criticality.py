@@ -18,7 +18,9 @@ SHEAR_ROUND_OFF = 1e-14  # of the normal traction: less shear is none
 
 @dataclass(frozen=True)
 class Criticality:
-    """Joint ends (j, 2) under the initial stress and pressure; NaN where the fracture's law has no Coulomb friction.
+    """Joint ends (j, 2) under the initial stress and pressure; NaN where the fracture's law has no friction.
+
+    Friction of rate and state counts by its coefficient at the reference slip rate: below it walls creep far more slowly.
 
     tendency  |tau|/sigma_n', shear over effective normal traction [1]; inf where nothing presses the walls together
     rise      of the pressure, with the rock at rest, at which they slip or part [stress]: 0 past that, inf for never
@@ -35,7 +37,7 @@ def criticality(scene: Scene, mesh: SplitMesh) -> Criticality:
         values = np.full(mesh.joint_along.shape, np.nan)
         for number, name in enumerate(mesh.fractures):
             here, table = mesh.joint_fracture == number, scene.fracture_named(name)
-            if JOINT_LAWS[table.law].status:
+            if (law := JOINT_LAWS[table.law]).status or law.creeps:
                 values[here] = sample(getattr(table, key, None), mesh.joint_along[here])
         return values
 

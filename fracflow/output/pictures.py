@@ -40,6 +40,7 @@ _ENERGIES = (
     ("joint_normal", "joint normal"),
     ("viscous", "viscous"),
     ("radiated", "radiated"),
+    ("leak_off", "leak-off"),
     ("damping", "damped at faults"),
 )
 _OF_WELLS = (("pressure", STRESS), ("rate", FLOW_RATE), ("volume", "length**3"))

@@ -35,6 +35,7 @@ _TOLD = (
     r": spurious power is watched$",
     r"^resumed after ",
     r"^explicit: ",
+    r"^leak_off: by the end pressure goes ",
     r": multigrid \(BoomerAMG\)",
     r"^equilibrium: ",
     r"a plain cycle of the fixed point ",

@@ -28,6 +28,7 @@ from fracflow.run_report.words import (
     check_table,
     energy_left,
     energy_table,
+    fluid_sums,
     fracture_table,
     items,
     key_numbers,
@@ -193,6 +194,8 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
         text += of_columns(columns)
     shut = [shut_line(run.history, name, run.clock_text) for name in run.wells] if len(run.times) else []
     text += "".join(f"<p>{safe(line)}.</p>" for line in shut if line)
+    if sums := fluid_sums(run):
+        text += f"<p>Fluid since the start: {safe(sums)}.</p>"
     for quantity, lines in histories.items():
         dimension = _OF_WELLS[quantity]
         unit = run.unit(dimension, np.concatenate([np.zeros(1), *(values for _, values in lines.values())]))

@@ -10,18 +10,32 @@ from typing import Any
 import numpy as np
 
 from fracflow.mesh.data import is_unmeshed
+from fracflow.output.history import last_of
 from fracflow.output.remarks import alike, bare, is_note, is_routine, part_of, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import DENSITY, ENERGY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY, VOLUME
+from fracflow.scene.units import (
+    AREA,
+    COMPRESSIBILITY,
+    DENSITY,
+    ENERGY,
+    FLOW_RATE,
+    LENGTH,
+    STIFFNESS,
+    STRESS,
+    TIME,
+    VELOCITY,
+    VISCOSITY,
+    VOLUME,
+)
 from fracflow.storage.files import shown_plain
 
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
-LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
+LOST = ("friction", "viscous", "radiated", "leak_off", "damping", "scheme", "spurious", "dropped")
 LONGEST_HEAD = 60  # letters that stand before the colon of a line
 MOST_SEEN = 12  # rows of a long table that are seen at once
 
@@ -164,6 +178,14 @@ def energy_table(run: RunReport) -> str:
     return of_columns([("", kinds), ("entry", [each[1] for each in found]), at_end, largest], "small")
 
 
+def fluid_sums(run: RunReport) -> str:
+    """Volumes of the network at the end, all in one unit; nothing where no fluid moved."""
+    volumes = {key[7:]: values for key, values in run.history.items() if key.startswith("volume/")}
+    ends = {key.replace("_", " "): last_of(values) for key, values in volumes.items() if np.any(values)}
+    unit = run.unit(VOLUME, [*ends.values()])
+    return ", ".join(f"{word} {number(unit.factor * value)} {unit.name}".rstrip() for word, value in ends.items())
+
+
 def scene_in_words(run: RunReport) -> list[str]:
     """The scene as sentences."""
     scene = run.scene
@@ -189,6 +211,8 @@ def scene_in_words(run: RunReport) -> list[str]:
         parts = [f"viscosity {run.shown(_number(fluid.viscosity), VISCOSITY)}"]
         if (pressure := _number(fluid.initial_pressure)) is not None:
             parts.append(f"pressure at the start {shown(pressure, STRESS)}")
+        if fluid.compressibility:
+            parts.append(f"compressibility {shown(_number(fluid.compressibility), COMPRESSIBILITY)}")
         parts.append(f"depth of the flow out of the plane {shown(_number(fluid.flow_depth), LENGTH)}")
         lines.append(f"Fluid: {', '.join(parts)}.")
     for name, kind in scene.fracture.items():
@@ -228,9 +252,12 @@ def _fracture(run: RunReport, kind: Any) -> str:
     rows = (
         ("normal_stiffness", "normal stiffness", STIFFNESS), ("shear_stiffness", "shear stiffness", STIFFNESS),
         ("aperture", "aperture", LENGTH), ("cohesion", "cohesion", STRESS),
-        ("friction_coefficient", "friction", "1"), ("dynamic_friction_coefficient", "friction once weakened", "1"),
+        ("friction", "friction", "1"), ("dynamic_friction_coefficient", "friction once weakened", "1"),
         ("slip_weakening_distance", "weakens over a slip of", LENGTH),
         ("stick_slip_ratio", "strength left while slipping", "1"),
+        ("reference_slip_rate", "that of slip at", VELOCITY), ("direct_effect", "direct effect", "1"),
+        ("evolution_effect", "evolution effect", "1"), ("characteristic_slip", "characteristic slip", LENGTH),
+        ("initial_slip_rate", "slip rate at the start", VELOCITY),
     )  # fmt: skip
     for key, word, dimension in rows:
         value = getattr(kind, key, None)
@@ -238,6 +265,9 @@ def _fracture(run: RunReport, kind: Any) -> str:
             continue
         one = _number(value)
         parts.append(f"{word} {'varies along it' if one is None else run.shown(one, dimension)}")
+    if (rock := kind.leak_off) is not None:
+        permeability, storage = run.shown(rock.permeability, AREA), run.shown(rock.storage, COMPRESSIBILITY)
+        parts.append(f"leaks off into rock of permeability {permeability} and storage {storage}")
     return ", ".join(parts)
 
 
@@ -277,6 +307,8 @@ def _stage(run: RunReport, order: int, stage: Any) -> str:
         "auto": "without inertia, and with it while slip runs away",
     }
     parts = [kinds.get(stage.kind, stage.kind)]
+    if stage.kind in ("quasi-static", "auto") and run.scene is not None and run.scene.radiates:
+        parts.append("slip radiates G/(2 c_s) times its rate where there is no inertia")
     if stage.until:
         parts.append(f"raises {stage.control} until a section is about to slip")
     if stage.time_step:

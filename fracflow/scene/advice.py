@@ -15,7 +15,7 @@ from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, TimeTable
-from fracflow.scene.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.scene.units import AREA, COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
@@ -33,7 +33,11 @@ USUAL = {
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),
         "aperture": (LENGTH, 1e-7, 0.1),
         "friction_coefficient": ("", 0.01, 2.0),
+        "direct_effect": ("", 1e-4, 0.1),
+        "evolution_effect": ("", 1e-4, 0.1),
+        "characteristic_slip": (LENGTH, 1e-7, 1.0),
     },
+    "leak_off": {"permeability": (AREA, 1e-24, 1e-10), "storage": (COMPRESSIBILITY, 1e-13, 1e-7)},
     "fluid": {
         "viscosity": (VISCOSITY, 1e-5, 0.5),
         "density": (DENSITY, 0.1, 3e3),
@@ -301,6 +305,8 @@ def _transit(scene: Scene) -> float | None:
 def _unusual(scene: Scene) -> Iterator[str]:
     tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
     tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
+    leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]
+    tables += [(f"fracture.{name}.leak_off", rock, "leak_off") for name, rock in leaky]
     tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []
     for path, table, kind in tables:
         for key, (dimension, least, most) in USUAL[kind].items():
@@ -309,6 +315,6 @@ def _unusual(scene: Scene) -> Iterator[str]:
                 continue
             in_si = value * scene.unit_system.to_si(dimension)
             if not least <= in_si <= most:
-                unit = scene.unit_system.written(dimension)
+                stated = f"{value:g} {scene.unit_system.written(dimension)}".rstrip()
                 few = "small" if in_si < least else "large"
-                yield f"{path}.{key} = {value:g} {unit} is unusually {few}: is its unit right?"
+                yield f"{path}.{key} = {stated} is unusually {few}: is its unit right?"

@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
 from fracflow.integrators import keys_of, with_inertia
-from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
@@ -198,12 +197,10 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
 def _materials(scene: Tables) -> Iterator[Fault]:
     if not scene.rock:
         yield ("rock",), "missing; a scene needs [rock.NAME]"
-    creeps = any(JOINT_LAWS[each.law].creeps for each in scene.fracture.values())
-    radiates = creeps and scene.method.radiation_damping == "auto"
     for name, rock in scene.rock.items():
         if rock.density is None and scene.has_dynamics:
             yield ("rock", name, "density"), "missing; dynamic stages need it: give it"
-        elif rock.density is None and not rock.rigid and radiates:
+        elif rock.density is None and not rock.rigid and scene.radiates:
             why = 'missing; radiation damping needs it: give it, or set method.radiation_damping = "none"'
             yield ("rock", name, "density"), why
         if rock.density is None and scene.body_force is not None and scene.body_force.gravity:

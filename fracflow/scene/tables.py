@@ -13,6 +13,7 @@ from typing_extensions import Self
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
+from fracflow.laws import JOINT_LAWS
 from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene.messages import nearest
@@ -212,6 +213,16 @@ class Tables(TablesOfLaws):
     def leaks_off(self) -> bool:
         """Whether fractures lose fluid to porous rock."""
         return any(table.leak_off is not None for table in self.fracture.values())
+
+    @property
+    def creeps(self) -> bool:
+        """Whether a fracture slips at any stress, at a rate that time steps follow."""
+        return any(JOINT_LAWS[table.law].creeps for table in self.fracture.values())
+
+    @property
+    def radiates(self) -> bool:
+        """Whether slip sends off energy in stages without inertia."""
+        return self.creeps and self.method.radiation_damping == "auto"
 
     @property
     def is_drained(self) -> bool:

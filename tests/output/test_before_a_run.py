@@ -81,6 +81,14 @@ def test_criticality_is_that_of_mohrs_circle(scene):
     assert of("a $ b", deep.rise, mesh) == pytest.approx(1e6 * (pressed - below - shear / 0.6))
 
 
+def test_rate_and_state_counts_by_its_reference_coefficient(scene):
+    law = "{law='rate-and-state', direct_effect=0.01, evolution_effect=0.014, characteristic_slip=1e-3,"
+    given = load(scene, [f'fracture."a $ b"={law} reference_slip_rate=1e-6, initial_slip_rate=1e-12}}'])
+    mesh = read_split(given)
+    same, found = criticality(load(scene), mesh), criticality(given, mesh)
+    assert of("a $ b", found.rise, mesh) == pytest.approx(of("a $ b", same.rise, mesh))
+
+
 def test_a_fault_past_its_strength_has_no_rise_left(scene):
     given = load(scene, ["fracture.glued.cohesion=0", "fracture.glued.initial_shear_traction=3e6"])
     mesh = read_split(given)

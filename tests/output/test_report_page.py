@@ -17,13 +17,17 @@ from stopped_run import spoken, stop_half_way
 import fracflow
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
+from fracflow.model import energy
+from fracflow.model.terms.absorbing import AbsorbingSides
+from fracflow.model.terms.fault_damping import FaultDamping
+from fracflow.model.terms.leak_off import LeakOff
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.checkpoint import read_notes, write_checkpoint
 from fracflow.output.drawing.axes import suited_unit
 from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
-from fracflow.run_report import write_report
+from fracflow.run_report import words, write_report
 from fracflow.run_report.catalogue import events_of
-from fracflow.run_report.data import number, read_run, thinned
+from fracflow.run_report.data import RunReport, number, read_run, thinned
 from fracflow.run_report.map import _traces, read_frames
 from fracflow.simulation.run import resume, run
 from fracflow.storage.sealed import read_sealed
@@ -34,6 +38,26 @@ HOSTILE = "</script><script>document.title='taken'</script><img src=x onerror=do
 SI = {"length": "m", "force": "N", "time": "s"}
 DAYS = 86400.0
 COUNT = 40  # states of a made-up run
+LEAKY = """
+geometry = {domain = "unbounded", fracture = [{name = "a", points = [[0, 0], [9, 9]]}]}
+rock.rock = {youngs_modulus = "30 GPa", poissons_ratio = 0.25, density = 2700}
+initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa"}
+fluid.viscosity = "1 mPa s"
+stage = [{kind = "quasi-static", time_step = "1 h", steps = 2}]
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "0.2 mm"
+friction_angle_deg = 31
+leak_off = {permeability = "1e-17 m^2", storage = "1e-11 1/Pa"}
+[fracture.a]
+law = "rate-and-state"
+direct_effect = 0.010
+evolution_effect = 0.014
+characteristic_slip = "1 mm"
+reference_slip_rate = 1e-6
+initial_slip_rate = 1e-12
+"""
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +178,18 @@ stage = [{kind = "steady", time_step = 1, steps = 1}]
     chart = charts["moment-volume"]
     assert np.max(chart.series[-1].y) == pytest.approx(12e9 * 290.0 * 25.0)
     assert np.max(chart.series[-1].x) == pytest.approx(290.0) and "25 times the volume shown" in chart.note
+
+
+def test_the_page_names_every_loss_and_the_laws_of_a_scene(tmp_path):
+    entries = {term.entry for term in (AbsorbingSides, FaultDamping, LeakOff)} | {*energy.STORED}
+    assert entries == {*words.STORED, *words.LOST}
+    (tmp_path / "scene.toml").write_text(LEAKY)
+    lines = " ".join(words.scene_in_words(RunReport(tmp_path, units=SI, scene=fracflow.load(tmp_path / "scene.toml"))))
+    for part in (
+        "friction 0.6009", "permeability 1×10⁻¹⁷ m² and storage 1×10⁻¹¹ m²/N", "evolution effect 0.014",
+        "characteristic slip 1 mm", "slip radiates G/(2 c_s)",
+    ):  # fmt: skip
+        assert part in lines, part
 
 
 @pytest.mark.parametrize("width", [320, 390])

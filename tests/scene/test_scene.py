@@ -111,6 +111,14 @@ def test_an_option_that_reaches_no_solver_is_told(make):
     assert line.startswith("petsc.ksp_type reaches no solver: ") and "monolithic, whole-lu, solid, flow" in line
 
 
+def test_values_of_another_unit_are_told(make):
+    lines = advice(make("fracture.fault.leak_off={permeability=1e-3, storage=1e-10}", "fracture.fault.aperture=2"))
+    assert [line for line in lines if "unusually" in line] == [
+        "fracture.fault.aperture = 2 m is unusually large: is its unit right?",
+        "fracture.fault.leak_off.permeability = 0.001 m^2 is unusually large: is its unit right?",
+    ]
+
+
 def test_a_pressure_at_the_start_that_nothing_stores_is_told(make):
     """Springs leave c_f d k_n/(1 + c_f d k_n) of it; moved walls, or a pressure that is prescribed, keep it."""
     start, stiff = "initial={pressure=2e5}", "fracture.fault={%s}"

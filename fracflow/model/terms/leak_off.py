@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from fracflow.integrators import first_rate
@@ -32,6 +34,18 @@ class LeakOff(Term):
         self._kernel = kernel_of(scene)
         assert scene.fluid is not None
         self._start = scene.fluid.initial_pressure + network.resting_end
+        leaks = permeability > 0.0
+        diffusivity = float((permeability[leaks] / (network.viscosity * storage[leaks])).max(initial=0.0))
+        self._length = f" {scene.unit_system.length}".rstrip()
+        self._reach = float(np.sqrt(operators.layout.comm.allreduce(diffusivity, op=MPI.MAX) * _end(scene)))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How far the pressure goes, for half spaces know no other fracture."""
+        return (
+            f"leak_off: by the end pressure goes about {self._reach:.3g}{self._length} into the rock,"
+            " which is taken to be free of other fractures",
+        )
 
     def joints(self) -> Ints:
         """Numbers (k,) of this rank's joints that lose fluid."""
@@ -95,7 +109,11 @@ def leak_off(operators: Operators, scene: Scene) -> tuple[LeakOff, ...]:
 def kernel_of(scene: Scene) -> Exponentials:
     """The exponentials for the times of a scene's stages."""
     steps = [stage.time_step for stage in scene.stage if stage.time_step]
+    return exponentials(SHORTEST * min(steps), LONGEST * max(_end(scene), *steps))
+
+
+def _end(scene: Scene) -> float:
     end = 0.0
     for stage in scene.stage:
         end = stage.finish(end)
-    return exponentials(SHORTEST * min(steps), LONGEST * max(end, *steps))
+    return end

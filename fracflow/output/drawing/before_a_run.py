@@ -76,7 +76,8 @@ def _draw(
     axis = axis_of(dimension, [np.r_[0.0, values[known]]], network.units)
     shown, low, top = axis(values[known]), *(float(end) for end in axis([values[known].min(), values[known].max()]))
     if top - low < _SAME * max(abs(top), 1e-300):
-        axes.set_title(f"{title}: {axis.text(float(values[known][0]))} everywhere")
+        where = "everywhere" if known.all() else "where fractures slip"
+        axes.set_title(f"{title}: {axis.text(float(values[known][0]))} {where}")
         look: dict[str, Any] = dict(colors=COLOURS[0], linewidths=_WIDTH, capstyle="round", zorder=3)
         axes.add_collection(LineCollection(list(scaled(network.segments[known], *scales)), **look))
         return scales
