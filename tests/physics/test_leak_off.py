@@ -7,6 +7,7 @@ from scipy.special import erfc
 from fracflow.api import open as opened
 from fracflow.errors import InputError
 from fracflow.laws.leak_off import exponentials, leak_off_coefficient, leaked_volume, memory_after
+from fracflow.model.terms.leak_off import kernel_of
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
@@ -162,12 +163,16 @@ def over_exact(found):
     return time, pressure / (1e-7 / 3 * np.sqrt(1e-3 * time / (np.pi * 1e-25)))
 
 
-def test_substeps_far_shorter_than_a_step(run_scene):
-    """Those that a rate of slip asks for: the memory is as fast as they are."""
-    found = run_scene(CLOSED + STATE, "stage=[{kind='quasi-static', time_step=1e6, steps=1}]")
-    time, ratio = over_exact(found.history)
-    assert time[0] < 1e-4 * 1e6 and len(time) > 20
-    assert ratio[10] == pytest.approx(1.0, abs=0.08) and ratio[-1] == pytest.approx(1.0, rel=2e-3)
+AUTO = "stage=[{kind='auto', time_step=1e5, end=1e6}]", "geometry.domain=[-3, -3, 6, 3]"
+
+
+@pytest.mark.parametrize("asked", [(), AUTO, ("accuracy.tolerance=1e-3",)])
+def test_substeps_far_shorter_than_a_step(tmp_path, asked):
+    """Those that slip, events or errors ask for: the memory is as fast as they are."""
+    (tmp_path / "scene.toml").write_text(CLOSED + ("" if asked else STATE))
+    kernel = kernel_of(load(tmp_path / "scene.toml", asked))
+    times = np.logspace(-4.0, 4.0, 20)
+    assert kernel.kernel(times) * np.sqrt(np.pi * times) == pytest.approx(1.0, abs=2e-4)
 
 
 @pytest.mark.parametrize(
