@@ -25,8 +25,8 @@ SHORTEST = 1e-3  # of the least step of the stages: substeps are shorter
 PROMPT = 1e-12  # the same where substeps are as short as slip or errors ask for
 LONGEST = 10.0  # times the time of the stages: runs are gone on with
 PRESSURE, RATE, MEAN, LOWEST = -4, -3, -2, -1
-"""Columns of a memory behind those of the exponentials: the pressure, the rate, the mean rate over the last step, and the
-number of the slowest exponential that fades."""
+"""Columns of a memory behind those of the exponentials: the pressure, the rate, and the mean rate over the last step. The last
+is the number of the slowest exponential that fades."""
 FEWEST = 6  # columns: with one exponential that fades, and one that does not
 
 
@@ -84,7 +84,7 @@ class LeakOff(Term):
         return new
 
     def restored(self, saved: Floats, ids: Ints) -> Floats:
-        """Memory (j, 2, m) with the exponentials of this scene; see ``Term``."""
+        """Memory (j, 2, m) with the exponentials of this scene; see ``Term``. Raises ValueError, on all ranks, if it is none."""
         lowest = saved[..., LOWEST]
         first = float(lowest.flat[0])
         if saved.shape[-1] < FEWEST or np.ptp(lowest) != 0.0 or first % 1.0 != 0.0 or abs(first) > RANGE:

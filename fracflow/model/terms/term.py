@@ -119,7 +119,7 @@ class Term:
     def restored(self, saved: Floats, ids: Ints) -> Floats:
         """Its memory (j, 2, m) from that (n, 2, k) of all joints in a checkpoint, whose stages may have had other times.
 
-        ids  numbers (j,) of this rank's joints. Raises ValueError, on every rank, where it is none.
+        ids  numbers (j,) of this rank's joints
         """
         return saved[ids]
 
