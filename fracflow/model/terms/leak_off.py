@@ -84,7 +84,7 @@ class LeakOff(Term):
         return new
 
     def restored(self, saved: Floats, ids: Ints) -> Floats:
-        """Memory (j, 2, m) with the exponentials of this scene; see ``Term``. Raises ValueError, on all ranks, if it is none."""
+        """Memory (j, 2, m) with this scene's exponentials; see ``Term``. Raises ValueError, on all ranks, if it is none."""
         lowest = saved[..., LOWEST]
         first = float(lowest.flat[0])
         if saved.shape[-1] < FEWEST or np.ptp(lowest) != 0.0 or first % 1.0 != 0.0 or abs(first) > RANGE:
