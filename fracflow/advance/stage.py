@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
@@ -14,10 +14,12 @@ from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
 from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, creeps
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
+from fracflow.errors import InputError
 from fracflow.integrators import Stepper
 from fracflow.model.setup import Model
 from fracflow.model.state import State, forgetful
 from fracflow.scene.boundary import Stage
+from fracflow.scene.scene import Scene
 from fracflow.solve.request import LoadStep, StepRequest, to_next
 
 JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
@@ -63,6 +65,25 @@ def first_substep(stepping: Stepping, stage: Stage, stepper: Stepper, time: floa
     if stage.kind == "auto" or not stepper.inertia or not _splits(stepping, stepper, length):
         return length
     return to_next(scene.jump_times, time, length)
+
+
+def refuse_moved(scene: Scene, number: int, progress: Mapping[str, float], time: float) -> None:
+    """Raise InputError where the steps of a stage, as the scene now has them, do not lead to where a run was stopped in it.
+
+    A step would else last from that time to the end of one of the others, with what is pumped in one of its own length.
+    """
+    stage, n = scene.stage[number], int(progress.get("n", 0))
+    if not stage.time_step or stage.kind == "auto" or "start" not in progress:
+        return
+    start, fraction = progress["start"], SubstepCursor.of(progress).fraction
+    length = stage.step_length(start, n + 1) if fraction else 0.0
+    is_over = not fraction and n == stage.step_count(start)
+    there = stage.finish(start) if is_over else start + n * stage.time_step + fraction * length
+    if abs(there - time) > 1e-6 * stage.time_step + 1e-12 * abs(time):
+        raise InputError(
+            f"scene.toml: stage.{number}: the run was stopped amid this stage at time {time:.9g}, where its steps now are"
+            f" at {there:.9g}: put its time_step and end back and let a stage follow it, or begin a new run: fracflow run"
+        )
 
 
 def _events(stepping: Stepping, stepper: Stepper, dt: float) -> int:

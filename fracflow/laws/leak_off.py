@@ -17,6 +17,7 @@ import numpy as np
 from fracflow.laws.base import Floats
 
 SPACING = 1.0  # of the logarithms of the rates: the sum is then within 2.8 exp(-pi^2/SPACING) = 1.5e-4 of the kernel
+RANGE = 1000  # of their numbers, as of all floating-point numbers
 SLOW = 1e-3  # a rate times the longest time, below which an exponential stays 1
 FAST = 30.0  # a rate times the shortest time, above which it is over at once
 
@@ -25,7 +26,7 @@ FAST = 30.0  # a rate times the shortest time, above which it is over at once
 class Exponentials:
     """1/sqrt(pi t) = sum w exp(-r t) from the shortest to the longest time.
 
-    rates    r (m,), ascending; the first is 0 [1/time]
+    rates    r (m,), ascending; the first is 0, the others exp(SPACING n) for n from ``lowest`` on [1/time]
     weights  w (m,) [time^-1/2]
     rest     integral of what is left out, that of the fastest rates [time^1/2]
     """
@@ -33,6 +34,7 @@ class Exponentials:
     rates: Floats
     weights: Floats
     rest: float
+    lowest: int
 
     def kernel(self, time: Floats) -> Floats:
         """The sum at times (n,) [time^-1/2]."""
@@ -45,14 +47,15 @@ def exponentials(shortest: float, longest: float) -> Exponentials:
 
     About ln(longest/shortest) + 11 of them.
     """
-    first, last = np.log(SLOW / longest), np.log(FAST / shortest)
-    x = first + SPACING * np.arange(int(np.ceil((last - first) / SPACING)) + 1)
+    lowest = int(np.floor(np.log(SLOW / longest) / SPACING))
+    highest = int(np.ceil(np.log(FAST / shortest) / SPACING))
+    x = SPACING * np.arange(lowest, highest + 1)
     weights = SPACING * np.exp(0.5 * x) / np.pi
     # what is left out on either side is a geometric sum
     slow, fast = (
         SPACING * np.exp(0.5 * (end - SPACING)) / np.pi / (1.0 - np.exp(-0.5 * SPACING)) for end in (x[0], -x[-1])
     )
-    return Exponentials(np.append(0.0, np.exp(x)), np.append(slow, weights), float(fast))
+    return Exponentials(np.append(0.0, np.exp(x)), np.append(slow, weights), float(fast), lowest)
 
 
 def leak_off_coefficient(permeability: Floats, storage: Floats, viscosity: float) -> Floats:
@@ -66,6 +69,19 @@ def memory_after(kernel: Exponentials, memory: Floats, change: Floats, dt: float
     mean, _ = _shares(kernel, dt)
     found: Floats = np.exp(-kernel.rates * dt) * memory + mean * change[..., None]
     return found
+
+
+def memory_of(kernel: Exponentials, memory: Floats, lowest: int) -> Floats:
+    """Memories (..., m) of this sum, from those (..., k) of one for other times, whose rates are from ``lowest`` on.
+
+    Slower exponentials than it had are still as the one that never fades; faster ones follow the rate of the pressure.
+    """
+    rates = lowest + np.arange(memory.shape[-1] - 1)
+    wanted = kernel.lowest + np.arange(len(kernel.rates) - 1)
+    fades = np.exp(SPACING * np.minimum(rates[-1] - wanted, 0))
+    found = memory[..., 1:][..., np.clip(wanted - lowest, 0, len(rates) - 1)] * fades
+    found[..., wanted < lowest] = memory[..., :1]
+    return np.concatenate([memory[..., :1], found], axis=-1)
 
 
 def leaked_volume(kernel: Exponentials, memory: Floats, change: Floats, dt: float) -> tuple[Floats, float]:

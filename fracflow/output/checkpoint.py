@@ -258,7 +258,11 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         left=notes.get("left", {}),
         volumes=FluidVolumes(**notes.get("volumes", {})),
-        memory={name: arrays[f"memory/{name}"][blocks.joints.ids] for name in _memories(operators)},
+        memory={
+            term.name: term.restored(arrays[f"memory/{term.name}"], blocks.joints.ids)
+            for term in operators.terms
+            if term.has_memory
+        },
         adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
 
@@ -266,12 +270,6 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
 def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
     """The terms with stored forces."""
     return [term.name for term in operators.terms if term.name in arrays]
-
-
-def _memories(operators: Operators) -> dict[str, tuple[int, ...]]:
-    """Shapes (j, 2, m) of the memories of terms, of all ranks' joints."""
-    joints = operators.blocks.sizes.joints
-    return {term.name: (joints, *term.memory().shape[1:]) for term in operators.terms if term.has_memory}
 
 
 def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
@@ -290,7 +288,8 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     for number, group in enumerate(operators.joints.laws):
         past = zero_history(group.law.history, 1, sizes.dim)
         shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
-    shapes |= {f"memory/{name}": shape for name, shape in _memories(operators).items()}
+    for name in (f"memory/{term.name}" for term in operators.terms if term.has_memory):
+        shapes[name] = (sizes.joints, 2, *(arrays[name].shape[2:3] if name in arrays else ()))
     for name, shape in shapes.items():
         found = arrays[name].shape if name in arrays else (0,)
         if found != shape:

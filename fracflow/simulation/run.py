@@ -13,7 +13,7 @@ from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
-from fracflow.advance.stage import first_substep, run_stage
+from fracflow.advance.stage import first_substep, refuse_moved, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
 from fracflow.errors import DiskError, InputError, Interrupted, ReductionInvalid, SolveError, is_alone
@@ -153,6 +153,7 @@ def resume(
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)
         with restoring(saved):
             check_stage(notes, [stage.kind for stage in scene.stage])
+            refuse_moved(scene, notes["stage"], notes["progress"], notes["time"])
             state = restore_state(model.operators, arrays, notes)
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)

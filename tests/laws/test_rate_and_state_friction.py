@@ -48,6 +48,15 @@ def test_the_first_state_is_that_of_public_tables():
     assert lone.initial_history(1, 2)["state"][0] == pytest.approx(D_C / 1e-9), "without shear in steady state"
 
 
+def test_the_slip_over_which_the_state_evolves():
+    """D_c; by the slip law less, where V theta/D_c is far from 1: there d ln theta/d slip = -ln(V theta/D_c)/D_c."""
+    past = {"state": np.array([1e4, D_C / RATE, 1.0]), "sliding_rate": np.array([1e-2, RATE, RATE])}
+    away = np.abs(np.log(past["state"] * past["sliding_rate"] / D_C))
+    assert away[0] > 1.0 and away[2] > 1.0
+    assert friction(RATE).state_length(past) == pytest.approx(np.full(3, D_C))
+    assert friction(RATE, state_law="slip").state_length(past) == pytest.approx(D_C / np.maximum(away, 1.0))
+
+
 def strained(dim, seed=1, count=60):
     rng = np.random.default_rng(seed)
     strain = rng.uniform(-2e-5, 2e-5, (count, dim))

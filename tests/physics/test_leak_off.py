@@ -7,6 +7,7 @@ from scipy.special import erfc
 from fracflow.api import open as opened
 from fracflow.errors import InputError
 from fracflow.laws.leak_off import exponentials, leak_off_coefficient, leaked_volume, memory_after
+from fracflow.model.terms.leak_off import kernel_of
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
@@ -130,6 +131,88 @@ def test_with_inertia_and_events_over_a_stop(shared_tmp, comm, stepper):
             assert np.allclose(one[key], other[key], rtol=0.0, atol=1e-6 * np.abs(one[key]).max()), key
     largest = max(np.abs(one[key]).max() for key in one if key.startswith("energy/"))
     assert np.abs(one["energy/residual"]).max() < 1e-10 * largest and one["volume/leak_off"].any()
+
+
+CLOSED = """
+output = {pictures = false, vtkhdf = false, checkpoint_every = 1}
+rock.rock = {youngs_modulus = 5e10, poissons_ratio = 0.25, density = 2700}
+initial_stress = {xx = -30e6, yy = -30e6, zz = -30e6, xy = 14.9e6}
+fluid = {viscosity = 1e-3, initial_pressure = 5e6, compressibility = 4.5e-10}
+well = [{name = "in", at = {fracture = "f", fraction = 0.5}, flow_rate = 1e-7}]
+probe = [{name = "middle", at = {fracture = "f", fraction = 0.5}}]
+geometry = {domain = "unbounded", size = 1, fracture = [{name = "f", points = [[0, 0], [3, 0]]}]}
+stage = [{kind = "quasi-static", time_step = 1000, steps = 15}]
+[fracture.f]
+normal_stiffness = 1e14
+shear_stiffness = 1e14
+aperture = 1e-4
+friction_coefficient = 0.6
+leak_off = {permeability = 1e-15, storage = 1e-10}
+"""
+STATE = """
+law = "rate-and-state"
+reference_slip_rate = 1e-6
+direct_effect = 0.01
+evolution_effect = 0.005
+characteristic_slip = 1e-5
+initial_slip_rate = 1e-7
+"""
+
+
+def over_exact(found):
+    """Pressure that a rate Q gives over (Q/L) sqrt(mu t/(pi k S)), that of half spaces under a uniform flux."""
+    time, pressure = found["time"][1:], found["probe/middle/pressure"][1:] - 5e6
+    return time, pressure / (1e-7 / 3 * np.sqrt(1e-3 * time / (np.pi * 1e-25)))
+
+
+AUTO = "stage=[{kind='auto', time_step=1e5, end=1e6}]", "geometry.domain=[-3, -3, 6, 3]"
+
+
+@pytest.mark.parametrize("asked", [(), AUTO, ("accuracy.tolerance=1e-3",)])
+def test_substeps_far_shorter_than_a_step(tmp_path, asked):
+    """Those that slip, events or errors ask for: the memory is as fast as they are."""
+    (tmp_path / "scene.toml").write_text(CLOSED + ("" if asked else STATE))
+    kernel = kernel_of(load(tmp_path / "scene.toml", asked))
+    times = np.logspace(-4.0, 4.0, 20)
+    assert kernel.kernel(times) * np.sqrt(np.pi * times) == pytest.approx(1.0, abs=2e-4)
+
+
+@pytest.mark.filterwarnings("ignore:.*the scene as it is now")
+@pytest.mark.parametrize(
+    ("old", "new", "refused"), [("steps = 15", "steps = 40", ""), ("time_step = 1000", "time_step = 1300", "11700")]
+)
+def test_other_times_after_a_stop(shared_tmp, comm, old, new, refused):
+    """More steps need slower exponentials of the memory; longer ones would not begin where it was stopped."""
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(CLOSED)
+    comm.barrier()
+
+    def stop(step):
+        if step.state.time > 9500.0:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        run(load(shared_tmp / "scene.toml"), shared_tmp / "cut", comm, progress=stop)
+    comm.barrier()
+    if comm.rank == 0:
+        written = shared_tmp / "cut" / "scene.toml"
+        text = written.read_text().replace("1000.0", "1000")
+        assert old in text
+        written.write_text(text.replace(old, new))
+    comm.barrier()
+    if refused:
+        with pytest.raises(InputError, match=f"amid this stage at time 9000, where its steps now are at {refused}"):
+            resume(shared_tmp / "cut", comm)
+        return
+    resume(shared_tmp / "cut", comm)
+    comm.barrier()
+    ratio = over_exact(opened(shared_tmp / "cut").history)[1]
+    assert len(ratio) == 40 and np.abs(np.diff(ratio[5:])).max() < 1e-3 and ratio[-1] == pytest.approx(1.0, rel=2e-3)
+
+
+def test_steady_stages_that_take_no_time(run_scene):
+    found = run_scene(CLOSED.replace("flow_rate = 1e-7", "pressure = 6e6"), "stage=[{kind='steady', steps=1}]")
+    assert found.probe("middle", "pressure")[-1] == 6e6
 
 
 def test_where_no_fluid_is_modelled_it_is_refused(tmp_path):

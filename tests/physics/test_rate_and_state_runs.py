@@ -10,10 +10,15 @@ import numpy as np
 import pytest
 from laws.spring_slider import onsets, reference
 
+from fracflow._petsc import MPI
 from fracflow.errors import Interrupted
 from fracflow.output import read_events, read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
+
+from .test_leapfrog import SCENE as BETWEEN
+from .test_leapfrog import write_mesh
 
 SCENE = """
 output = {pictures = false, vtkhdf = false, checkpoint_every = 10}
@@ -45,6 +50,7 @@ SLOW = '[[stage]]\nname = "load"\nkind = "quasi-static"\ntime_step = 8\nend = 81
 AUTO = '[[stage]]\nkind = "auto"\ntime_step = 8\ndynamic_time_step = 1e-3\nend = 82\n'
 STIFFNESS, IMPEDANCE = 1.5e8, 0.5 * np.sqrt(2700 * 3e8)  # of two blocks in series, of one rock on both sides
 RATE = 1e-5
+STILL = '[[stage]]\nkind = "quasi-static"\ntime_step = 1\nsteps = 1\n'
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +78,18 @@ def history(folder, name):
 
 
 pytestmark = pytest.mark.serial
+
+
+def test_waves_leave_by_the_rocks_on_both_sides(tmp_path):
+    """Impedances rho c_s of unlike rocks, one after the other: 1/(1/Z + 1/Z')."""
+    write_mesh(tmp_path / "mixed.msh")
+    seam = SCENE[SCENE.index("[fracture.seam]") :].replace("seam", "fault")
+    (tmp_path / "scene.toml").write_text(BETWEEN[: BETWEEN.index("[fracture.fault]")] + seam + STILL)
+    model = prepare(load(tmp_path / "scene.toml"), MPI.COMM_SELF)
+    soft, hard = np.sqrt(2500 * 20e9 / 2.4), np.sqrt(2700 * 40e9 / 2.5)
+    (group,) = model.operators.joints.laws
+    inside = np.asarray(group.law.wave_impedance)[2:-2]  # at a tip a node belongs to both rocks
+    assert inside == pytest.approx(soft * hard / (soft + hard), rel=1e-12)
 
 
 def test_it_runs_away_when_an_ode_solver_says_so(folder):

@@ -7,7 +7,16 @@ from mpi4py import MPI
 import numpy as np
 
 from fracflow.integrators import first_rate
-from fracflow.laws.leak_off import Exponentials, exponentials, leak_off_coefficient, leaked_volume, memory_after
+from fracflow.laws import JOINT_LAWS
+from fracflow.laws.leak_off import (
+    RANGE,
+    Exponentials,
+    exponentials,
+    leak_off_coefficient,
+    leaked_volume,
+    memory_after,
+    memory_of,
+)
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
@@ -15,9 +24,12 @@ from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
 
 SHORTEST = 1e-3  # of the least step of the stages: substeps are shorter
+PROMPT = 1e-12  # the same where substeps are as short as slip or errors ask for
 LONGEST = 10.0  # times the time of the stages: runs are gone on with
-PRESSURE, RATE, MEAN = -3, -2, -1
-"""Columns of a memory behind those of the exponentials: the pressure, the rate, and the mean rate over the last step."""
+PRESSURE, RATE, MEAN, LOWEST = -4, -3, -2, -1
+"""Columns of a memory behind those of the exponentials: the pressure, the rate, and the mean rate over the last step. The last
+is the number of the slowest exponential that fades."""
+FEWEST = 6  # columns: with one exponential that fades, and one that does not
 
 
 class LeakOff(Term):
@@ -56,8 +68,8 @@ class LeakOff(Term):
         return self._at_rest(self._start)
 
     def _at_rest(self, pressure: Floats) -> Floats:
-        found = np.zeros((*self._coefficient.shape, len(self._kernel.rates) + 3))
-        found[..., PRESSURE] = pressure
+        found = np.zeros((*self._coefficient.shape, len(self._kernel.rates) + 4))
+        found[..., PRESSURE], found[..., LOWEST] = pressure, self._kernel.lowest
         return found
 
     def leaving(self, pressure: Floats, aperture: Floats, step: TermStep) -> Leaving:
@@ -85,6 +97,18 @@ class LeakOff(Term):
         new[..., RATE] = first_rate(step.alphas, volume, 0.0, memory[..., RATE], memory[..., MEAN])
         return new
 
+    def restored(self, saved: Floats, ids: Ints) -> Floats:
+        """Memory (j, 2, m) with this scene's exponentials; see ``Term``. Raises ValueError, on all ranks, if it is none."""
+        lowest = saved[..., LOWEST]
+        first = float(lowest.flat[0])
+        if saved.shape[-1] < FEWEST or np.ptp(lowest) != 0.0 or first % 1.0 != 0.0 or abs(first) > RANGE:
+            raise ValueError("leak_off")
+        memory = saved[ids]
+        new = self._at_rest(memory[..., PRESSURE])
+        new[..., :PRESSURE] = memory_of(self._kernel, memory[..., :PRESSURE], int(first))
+        new[..., RATE], new[..., MEAN] = memory[..., RATE], memory[..., MEAN]
+        return new
+
     def lost(self, memory: Floats, dt: float) -> float:
         """Volume that this rank's joints lost in a step of length ``dt``, by the memory (j, 2, m) after it [area]."""
         return float(memory[..., MEAN].sum()) * dt
@@ -107,9 +131,15 @@ def leak_off(operators: Operators, scene: Scene) -> tuple[LeakOff, ...]:
 
 
 def kernel_of(scene: Scene) -> Exponentials:
-    """The exponentials for the times of a scene's stages."""
-    steps = [stage.time_step for stage in scene.stage if stage.time_step]
-    return exponentials(SHORTEST * min(steps), LONGEST * max(_end(scene), *steps))
+    """The exponentials for the times of a scene's stages; where these take none, any will do."""
+    lengths = [step for stage in scene.stage for step in (stage.time_step, stage.dynamic_time_step) if step]
+    is_prompt = scene.accuracy.tolerance is not None or any(
+        [stage.kind == "auto" for stage in scene.stage]
+        + [JOINT_LAWS[table.law].creeps for table in scene.fracture.values()]
+    )
+    least = min(lengths, default=1.0)
+    longest = max(_end(scene), least, *lengths)
+    return exponentials((PROMPT if is_prompt else SHORTEST) * least, LONGEST * longest)
 
 
 def _end(scene: Scene) -> float:

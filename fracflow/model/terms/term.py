@@ -116,6 +116,13 @@ class Term:
         """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
         return step.memory[self.name]
 
+    def restored(self, saved: Floats, ids: Ints) -> Floats:
+        """Its memory (j, 2, m) from that (n, 2, k) of all joints in a checkpoint, whose stages may have had other times.
+
+        ids  numbers (j,) of this rank's joints
+        """
+        return saved[ids]
+
     def lost(self, memory: Floats, dt: float) -> float:
         """Fluid that left this rank's joints in the last step, by the memory (j, 2, m) after it [volume per thickness]."""
         return 0.0
