@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracflow.advance.slip_rate import creeps
 from fracflow.advance.step import Step
 from fracflow.advance.wells import reached_before
 from fracflow.model.energy import spurious_share
@@ -25,6 +26,7 @@ FOLD = 1.5
 """Largest growth of an aperture by inflow through it, in a step of backward Euler, d - d0 = c d^3. For c d0^2 > 4/27 only the
 stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
+REMEDY = '; kind = "auto" takes such slip with inertia'
 STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
@@ -50,9 +52,28 @@ class Notices:
         if self._scene.has_flow and not totals.sucked and (line := suction_line(self._model, state)):
             totals.sucked = 1  # once: no fluid holds together below zero
             self._doubt(line)
+        if self._scene.stage[step.stage].kind in ("steady", "quasi-static") and not totals.fast_slip:
+            self._fast_slip(state)
         if state.wells_at_limit or state.wells_shut:
             self._limits(state)
         self._coupling(f"stage {self._scene.stage[step.stage].title}", state.time, report)
+
+    def _fast_slip(self, state: State) -> None:
+        """A line, once, where slip that creeps comes to send off more than friction resists, without inertia. Collective."""
+        blocks, joints = self._model.operators.blocks, self._model.operators.joints
+        here = set()
+        for group in joints.laws:
+            if group.law.creeps:
+                fast = group.sections[state.sections.is_sliding[group.sections]]
+                here |= {blocks.joints.fractures[number] for number in blocks.joints.fracture[fast // joints.points]}
+        names = sorted(set().union(*blocks.comm.allgather(here))) if creeps(self._model) else []
+        if not names:
+            return
+        self._totals.fast_slip = 1
+        self._doubt(
+            f"time {self._scene.time_text(state.time)}: slip of {', '.join(names)} is so fast that waves limit it, and this"
+            f" stage has no inertia: later results leave out what waves do{'' if self._scene.is_unbounded else REMEDY}"
+        )
 
     def _limits(self, state: State) -> None:
         """A line on each well, once, when a limit of its pressure keeps it from its rate, and once when it is shut."""

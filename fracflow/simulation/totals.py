@@ -47,6 +47,7 @@ class Totals:
     evaluations: int = 0
     factored: int = 0
     strained: int = 0
+    fast_slip: int = 0
     sucked: int = 0
     widening: float = 1.0
     doubts: list[str] = field(default_factory=list)

@@ -130,6 +130,11 @@ def test_a_run_that_was_stopped_goes_on_to_the_last_bit(folder):
     assert all(np.array_equal(one[key], other[key], equal_nan=True) for key in one)
 
 
+def test_slip_that_waves_limit_is_told_where_there_is_no_inertia(folder):
+    told = run(load(folder / "slow.toml", ["accuracy.slip_share=0.5", "stage.load.end=83"]), folder / "fast").doubts
+    assert len(told) == 1 and "slip of seam is so fast that waves limit it" in told[0] and 'kind = "auto"' in told[0]
+
+
 @pytest.mark.starts_ranks
 def test_two_ranks_agree(folder):
     clean = {
