@@ -1,6 +1,6 @@
 """Leak-off: fluid that a fracture loses to the porous half spaces behind its walls, which no mesh has.
 
-    c dp/dt = c^2 d2p/dx2 in each, c = permeability/(viscosity storage), with the fracture's pressure change at x = 0: into
+    dp/dt = c d2p/dx2 in each, c = permeability/(viscosity storage), with the fracture's pressure change at x = 0: into
     both walls together, per area of the fracture, flows
 
     q = 2 sqrt(k S/mu) int (dp/dtau)/sqrt(pi (t - tau)) dtau     (Carslaw and Jaeger 1959, 2.4 (7), by superposition)
