@@ -18,7 +18,7 @@ LONGEST = 450
 
 # layers from the ground up; packages of one layer do not import each other, but for the second of a pair in BESIDE
 LAYERS = (
-    {"errors", "storage", "_petsc", "_version"},
+    {"errors", "remarks", "storage", "_petsc", "_version"},
     {"laws", "elements", "integrators"},
     {"scene", "mesh"},
     {"model"},

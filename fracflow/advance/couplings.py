@@ -10,6 +10,7 @@ from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
+from fracflow.remarks import note
 from fracflow.solve import COUPLINGS, Coupling, Multigrid
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
 from fracflow.solve.options import is_meant
@@ -79,7 +80,7 @@ class Couplings:
         stages = [s.title + (f" ({count:.0f} steps)" if count < math.inf else "") for s, _, count in steps]
         pays = "never pays, but is asked for"
         pays = f"pays from {plan.pays:.0f} steps of one length on" if plan.pays < math.inf else pays
-        return (
+        return note(
             f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
             f" stage {', '.join(stages) or 'none'}"
         )

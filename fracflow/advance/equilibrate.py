@@ -17,6 +17,7 @@ from fracflow.model.loads import Loads, PrescribedValues
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
+from fracflow.remarks import note
 from fracflow.scene.time_table import AT_ONCE
 from fracflow.solve.request import LoadStep, StepRequest
 
@@ -64,7 +65,7 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
             yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
         destroy(held_back, left)
-    log(f"equilibrium: {_summary(model, state)}")
+    log(note(f"equilibrium: {_summary(model, state)}"))
 
 
 def _resting_fluid(model: Model) -> Loads:

@@ -95,15 +95,23 @@ class ErrorEstimator:
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
+    def reached(self) -> float:
+        """The estimated error of the stage so far, of the largest size."""
+        return self.error_most / max(self.largest, float(np.finfo(float).tiny))
+
+    @property
+    def missed(self) -> bool:
+        """Whether that error is above the tolerance."""
+        return self.tolerance is not None and self.reached > self.tolerance
+
+    @property
     def summary(self) -> str:
         """The estimated error of the stage, for the log."""
-        assert self.tolerance is not None
-        reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
         of = "volume stored in fractures" if self.of_flow else "displacement"
         missed = ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
-        missed = "" if reached <= self.tolerance else missed
+        missed = missed if self.missed else ""
         return (
-            f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
+            f"time steps made an error of {self.reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
             f" {self.tolerance:g}{missed}; that of the mesh is not in it (--converge)"
         )
 

@@ -13,6 +13,7 @@ from fracflow.integrators.explicit import parts
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
+from fracflow.remarks import note
 from fracflow.solve.explicit import ExplicitCoupling
 from fracflow.solve.leapfrog.nodes import takes
 from fracflow.solve.leapfrog.steps import Leapfrog
@@ -72,7 +73,7 @@ class ExplicitSteps:
         cut = f"; time_step {shown(dt)} is taken in {count} parts of {shown(dt / count)}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
         damps = "".join(f"; {note}" for note in self.coupling.notes)
-        self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
+        self.log(note(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}"))
 
     def destroy(self) -> None:
         """Free the coupling. Collective."""

@@ -11,6 +11,7 @@ from fracflow.errors import SolveError
 from fracflow.integrators import Steady
 from fracflow.model.setup import Model
 from fracflow.model.state import Sections, State, StepReport
+from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
 
@@ -43,7 +44,9 @@ class _Search:
                 self.tried[value] = self.stepping.step(self.state, request, Steady())
             except SolveError as error:
                 self.failure = error
-                self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
+                self.log(
+                    note(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
+                )
                 return self.stage.tolerance
         return min(utilisation(self.stepping.model, self.tried[value][0].sections), 1.0) - (1.0 - self.stage.tolerance)
 
@@ -80,7 +83,7 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
     assert control is not None
     low = state.controls[control]
     if utilisation(model, state.sections) >= 1.0 - stage.tolerance:
-        log(f"stage {stage.title}: already at incipient failure")
+        log(note(f"stage {stage.title}: already at incipient failure"))
         return
     increment = progress.get("increment", model.scene.control[control].increment)
     for _ in range(DOUBLINGS):

@@ -24,6 +24,7 @@ from fracflow.model.network_parts import (
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
+from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
@@ -59,7 +60,7 @@ class FlowNetwork:
     def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
         if not self._has_logged_digits:
-            self.log(line)
+            self.log(marked(line))
         self._has_logged_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
@@ -204,7 +205,7 @@ class FlowNetwork:
             pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
             found = (pinched, "pinched shut"), (opened, "conducts again")
             what = [f"{names} {word}" for names, word in found if names]
-            self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
+            self.log(note(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts"))
         drained = self._drained(self.model.loads)
         gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
@@ -214,9 +215,10 @@ class FlowNetwork:
         for part, moves in cut_off[:MOST_NAMED]:
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
             both = " and by compression" if moves and stores else ""
-            self.log(f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}")
+            line = f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}"
+            self.log(note(line) if moves or stores else marked(line))
         if len(cut_off) > MOST_NAMED:
-            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_NAMED} more parts")
+            self.log(note(f"time {time:.6g}: nor in {len(cut_off) - MOST_NAMED} more parts"))
 
     def _drained(self, loads: Loads) -> np.ndarray:
         layout = self.model.operators.layout

@@ -18,6 +18,7 @@ from fracflow.errors import InputError
 from fracflow.integrators import Stepper
 from fracflow.model.setup import Model
 from fracflow.model.state import State, forgetful
+from fracflow.remarks import marked, note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.request import LoadStep, StepRequest, to_next
@@ -146,7 +147,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     estimator = ErrorEstimator(model, stage, stepper, start, progress)
     stepping.explicit.log_steps(stepper, whole)
     if estimator.finest and not progress:
-        log(f"stage {stage.title}: parts of steps by {estimator.statement}")
+        log(note(f"stage {stage.title}: parts of steps by {estimator.statement}"))
     splits = _splits(stepping, stepper, whole)
     is_filled = fills(model, stepper)
     asked = estimator.tolerance if estimator.finest else None
@@ -176,6 +177,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         there = {**there, **parts.place.as_progress(), **estimator.as_progress()}
         yield Step(state, number, found.length, found.report, DONE if ends else there)
         if not ends and (line := estimator.outlook(state.time)):
-            log(f"stage {stage.title}: {line}")
+            log(marked(f"stage {stage.title}: {line}"))
     if estimator.finest:
-        log(f"stage {stage.title}: {estimator.summary}")
+        line = f"stage {stage.title}: {estimator.summary}"
+        log(marked(line) if estimator.missed else note(line))

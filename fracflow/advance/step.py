@@ -25,6 +25,7 @@ from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
+from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
@@ -190,7 +191,7 @@ class SingleStep:
         if left < NARROWS:
             new.destroy()
             why = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
-            solvers.network.log(f"time {request.time:.6g}: {why}: this step goes by backward Euler")
+            solvers.network.log(note(f"time {request.time:.6g}: {why}: this step goes by backward Euler"))
             rule = first(stepper)
             new, report = self._by_rule(rule, state, request)
         solvers.network.log_changes(request.time)

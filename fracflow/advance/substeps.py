@@ -14,6 +14,7 @@ from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes
 from fracflow.errors import NotConverged
 from fracflow.model.state import State, StepReport
+from fracflow.remarks import marked, note
 from fracflow.scene.scene import Scene
 from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
@@ -148,7 +149,8 @@ class Substepped:
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
                 again = level + 1 <= most
-                self.log(f"step halved: {str(error).partition(';')[0]}" if again else f"step given up: {error}")
+                halved = note(f"step halved: {str(error).partition(';')[0]}")
+                self.log(halved if again else marked(f"step given up: {error}"))
                 now = _Cause(str(error).partition(";")[0], type(error), error.kind)
                 last, other = now, other if now.is_like(last) else last.text
                 if again:

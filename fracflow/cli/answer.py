@@ -11,7 +11,8 @@ from rich.table import Table
 
 from fracflow.cli.report import WIDTH
 from fracflow.mesh.plane.near import LINE, near_ones
-from fracflow.output.remarks import ACT, MARK, alike, part_of, parted, saved
+from fracflow.output.remarks import alike, part_of, saved
+from fracflow.remarks import ACT, NOTE, parted
 
 SIZES = ("cells", "displacement unknowns", "pressure unknowns", "steps")
 """Sizes that the short answer has; those of which no more than the cost follows."""
@@ -60,7 +61,7 @@ def short_answer(
         if those:
             say(f"{word}: {'; '.join(map(part_of, those))}")
     for line in notes[:MOST_NOTES]:
-        say(MARK + _first_words(line))
+        say(NOTE + _first_words(line))
     rest = [f"{len(numbers)} numbers, criteria, all sizes"]
     more = (len(passed), "near misses"), (len(notes) - MOST_NOTES, "notes")
     rest += [f"{many} more {what}" for many, what in more if many > 0]
@@ -77,7 +78,7 @@ def whole_answer(
     for line in (*(f"{key}: {shown(value)}" for key, value in sizes.items()), *(ACT + each for each in warnings)):
         console.print(line, soft_wrap=True, markup=False)
     for line in notes:
-        console.print(MARK + line, soft_wrap=True, markup=False)
+        console.print(NOTE + line, soft_wrap=True, markup=False)
 
 
 def shown(value: Any) -> str:

@@ -89,7 +89,7 @@ def run_command(
     from fracflow.diagnostics import as_records
     from fracflow.model.setup import on_root
     from fracflow.output.folder import check_folder
-    from fracflow.output.remarks import marked
+    from fracflow.remarks import marked, note
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
@@ -111,7 +111,7 @@ def run_command(
 
     def show_card(numbers: list[Number]) -> None:
         if replaces:  # not before: a scene that is refused replaces nothing
-            say(f"the run that was in {folder} is replaced")
+            say(note(f"the run that was in {folder} is replaced"))
         report_checks(as_records(numbers), console)
 
     def say(line: str) -> None:
@@ -181,8 +181,8 @@ def check(
     from fracflow.cli.check import set_up
     from fracflow.diagnostics import as_records as card_records
     from fracflow.output.folder import to_json
-    from fracflow.output.remarks import parted
     from fracflow.reduction import as_records
+    from fracflow.remarks import bare, parted
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
 
@@ -191,7 +191,8 @@ def check(
     found, moved, numbers, decisions, network = set_up(given)
     lines, card, plan = [*advice(given), *moved], card_records(numbers), as_records(decisions)
     if as_json:
-        record = {"sizes": found, "plan": plan, "card": card, "notes": lines, "warnings": parted(lines)[0]}
+        warnings, told = parted(lines)[0], [*map(bare, lines)]
+        record = {"sizes": found, "plan": plan, "card": card, "notes": told, "warnings": warnings}
         typer.echo(to_json({**record, "network": asdict(network)}, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
@@ -208,18 +209,18 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     from fracflow.mesh.split import summary
     from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
-    from fracflow.output.remarks import marked
     from fracflow.reduction.prepare import read_split
+    from fracflow.remarks import marked
     from fracflow.scene.scene import load
 
     keep_imports()
     given = load(scene, set_ or [], trust)
     split = read_split(given)
-    for note in split.notes:
-        typer.echo(marked(note))
+    for line in split.notes:
+        typer.echo(marked(line))
     try:
-        for note in unconnected_wells(given, split, place(given, split).wells):
-            typer.echo(marked(note))
+        for line in unconnected_wells(given, split, place(given, split).wells):
+            typer.echo(marked(line))
     except InputError as error:  # wells may be placed later
         typer.echo(marked(str(error)))
     for key, value in summary(split).items():

@@ -24,6 +24,7 @@ from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
 from fracflow.mesh.plane.unmeshed import cut, with_walls
+from fracflow.remarks import note
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh", *FORMATS)
@@ -194,7 +195,7 @@ def _small_cells(around: list[Source], misses: list[NearMiss], fine: float) -> l
     (x, y), why = places[0], "where traces are near each other or meet at a small angle"
     if beside:
         (x, y), why = beside[0].point, f"by the near miss of {beside[0].subject}"
-    return [f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({x:.6g}, {y:.6g}): {why}"]
+    return [note(f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({x:.6g}, {y:.6g}): {why}")]
 
 
 def side_names(domain: Floats) -> list[str]:

@@ -34,6 +34,7 @@ from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
@@ -257,7 +258,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
                 if w.name in wells and w.at is not None
             ),
             *(
-                f"{name} sits on the fracture at {_shown(found.point, unit)}{away}"
+                note(f"{name} sits on the fracture at {_shown(found.point, unit)}{away}")
                 for name, found in ((f"probe.{p.name}", probes[p.name]) for p in scene.probe)
                 if (away := moved(mesh, asked[name], found.point, unit))
             ),
@@ -276,7 +277,7 @@ def on_its_fracture(mesh: SplitMesh, name: str, node: int, asked: Position, unit
     """Say on which fractures a well lies: Gmsh may have given the number of its physical point to another one."""
     on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
     spot = mesh.points[mesh.flow_origin[node]]
-    return f"well.{name} is on {', '.join(on)} at {_shown(spot, unit)}{moved(mesh, asked, spot, unit)}"
+    return note(f"well.{name} is on {', '.join(on)} at {_shown(spot, unit)}{moved(mesh, asked, spot, unit)}")
 
 
 def _shown(spot: Floats, unit: str) -> str:

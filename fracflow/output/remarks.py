@@ -1,4 +1,4 @@
-"""Lines of ``check``, of a run and of its log, by what a reader is to do with them: nothing, know it, or act on it."""
+"""Lines of a log and records of a plan, as a page or a terminal shows them."""
 
 from __future__ import annotations
 
@@ -7,87 +7,12 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any
 
-ACT, MARK = "! ", "note: "  # before a warning, and before a note
-_ROUTINE = re.compile(
-    r"^well\..* is on (?!.* from where it was asked)|"
-    r"^(check|card|plan|stopped:|probe\.(?!.*read slip)|fracflow |stage \d|stage .*: longest period|geometry\.(snap|size))"
-    r"|^absorbing |^geometry\.growth = \S+: rock far"
-    r"|^(incipient failure|work in all:|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
-)
-"""Lines of a log that every run has, or that its histories show."""
-_TOLD = (
-    r"^\S+\.\S+: this key is now called ",
-    r"^well\..* is on ",
-    r", \S+( \S+)? from where it was asked$",
-    r"^geometry\.(snap|size\w*) = ",
-    r"^geometry\.growth = \S+: (rock far|beside fractures that weaken)",
-    r"^rock condensed to its joints, ",
-    r": cut at .*, where it leaves the domain",
-    r": shares \S+ from .*, which keeps it$",
-    r" moved by \S+ to ",
-    r": bent by \S+ to ",
-    r"^cells of \S+, \S+ of size_at_fractures, at ",
-    r": options of Gmsh's window are passed over: ",
-    r"^absorbing .*(: of an? [PS] wave |: the wave leaves by this side)",
-    r"^cells at faults are damped",
-    r": behind sharp fronts slip_rate rings ",
-    r"(no pressure is prescribed in .* settled by|^time \S+.*: nor in \d+ more parts)",
-    r": spurious power is watched$",
-    r"^resumed after ",
-    r"^explicit: ",
-    r"^leak_off: by the end pressure goes ",
-    r": multigrid \(BoomerAMG\)",
-    r"^equilibrium: ",
-    r"a plain cycle of the fixed point ",
-    r": handed over to ",
-    r"^step halved: ",
-    r"this step goes by backward Euler$",
-    r"^no state found at control\.",
-    r": already at incipient failure$",
-    r"; the network has \d+ parts$",
-    r": parts of steps by ",
-    r"^the run that was in .* is replaced$",
-    r"^slip that begins where another fracture slides: ",
-    r": time steps made an error of (?!.*more than asked)",
-    r"^spurious work of the coupling: ",
-    r" joint ends conducted by minimum_hydraulic_aperture, ",
-)
-"""Patterns of lines on what was done, about which nothing is to be done; any other line is a warning."""
-_NOTE = re.compile("|".join(_TOLD))
 _COORDINATE = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 _LIMIT = re.compile(
     r"limit point: (?:.* is near: )?"
     rf"(?P<words>fracture .*? at \((?P<x>{_COORDINATE}), (?P<y>{_COORDINATE})\), slipping patch [^;]*)"
 )
 _DIFFERS = re.compile(r"^(probe|well)\.\S+|\bof \S+ is\b|[-+.\d]+(e[-+]?\d+)?")
-
-
-def bare(line: str) -> str:
-    """A line without the mark before it."""
-    return line.removeprefix(MARK).removeprefix(ACT)
-
-
-def is_note(line: str) -> bool:
-    """Whether nothing is to be done about a line: results are those of the scene as it is stated."""
-    return _NOTE.search(bare(line)) is not None
-
-
-def is_routine(line: str) -> bool:
-    """Whether a line of a log stands in that of every run."""
-    return not line.strip() or _ROUTINE.search(bare(line)) is not None
-
-
-def marked(line: str) -> str:
-    """A line as a terminal shows it: a warning after "! ", another one after "note: "."""
-    return f"{MARK if is_note(line) else ACT}{line}"
-
-
-def parted(lines: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Warnings and notes of a list of lines."""
-    found: tuple[list[str], list[str]] = ([], [])
-    for line in lines:
-        found[is_note(line)].append(line)
-    return found
 
 
 def alike(lines: Iterable[str]) -> list[str]:

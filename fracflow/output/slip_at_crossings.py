@@ -16,6 +16,7 @@ import numpy as np
 
 from fracflow.mesh.data import SplitMesh
 from fracflow.output.drawing.axes import shown
+from fracflow.remarks import note
 from fracflow.scene.units import TIME
 
 MOST_NODES = 2  # of a fracture in its first slip: it has spread along no more of it
@@ -84,8 +85,9 @@ def crossing_lines(events: Sequence[Mapping[str, Any]], mesh: SplitMesh, units: 
         return []
     more = f" and {len(found) - MOST_LISTED} more" if len(found) > MOST_LISTED else ""
     places = ", ".join(each.text(units) for each in found[:MOST_LISTED])
-    return [
+    line = (
         f"slip that begins where another fracture slides: {places}{more}: the"
         " sliding one hands its stress on, before the rest of the fracture comes to its strength. How much slips beside the"
         " crossing converges with the mesh; the time at which the crossing itself first slips need not"
-    ]
+    )
+    return [note(line)]

@@ -17,6 +17,7 @@ from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
+from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
 from fracflow.scene.scene import Scene
@@ -274,8 +275,11 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
             return snap | ({"growth": USUAL} if len(traces) else {}), why
         fine = geometry.size_at_fractures or geometry.size
         if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
-            return snap, [*why, f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"]
-        return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
+            return snap, [
+                *why,
+                note(f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"),
+            ]
+        return snap | {"growth": GENTLE}, [*why, note(f"geometry.growth = {GENTLE:g}: {LATE}")]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_listed=False)
     fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
@@ -300,7 +304,10 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
         keys.pop("size_at_tips", None)  # no tip is in the rock: the same mesh
     unit = {key: view.unit(LENGTH) for key in keys} | {"growth": ""}
     sizes = {key: value for key, value in keys.items() if key not in snap}
-    return keys, [*why, *(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in sizes.items())]
+    return keys, [
+        *why,
+        *(note(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}") for key, value in sizes.items()),
+    ]
 
 
 def _of_joints(
@@ -324,7 +331,7 @@ def _of_joints(
             break
         fine = finer
     lines = (f"geometry.{key} = {keys[key]:g}{view.unit(LENGTH)}" for key in ("size_at_fractures", "size_at_tips"))
-    return keys, [f"{line}: {_why(line[9 : line.index(' ')], found)}" for line in lines]
+    return keys, [note(f"{line}: {_why(line[9 : line.index(' ')], found)}") for line in lines]
 
 
 def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]]:
@@ -334,7 +341,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
     traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
     snap, why = natural_snap(np.array(geometry.outline, dtype=float), traces)
     unit = scene.unit_system.behind(LENGTH)
-    return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
+    return {"snap": snap}, [note(f"geometry.snap = {snap:g}{unit}: {why}")]
 
 
 def _growth(scene: Scene, geometry: Geometry) -> float:

@@ -11,8 +11,9 @@ import numpy as np
 
 from fracflow.mesh.data import is_unmeshed
 from fracflow.output.history import last_of
-from fracflow.output.remarks import alike, bare, is_note, is_routine, part_of, saved
+from fracflow.output.remarks import alike, part_of, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
+from fracflow.remarks import has_mark, parted
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
 from fracflow.scene.scene import Scene
@@ -134,8 +135,8 @@ def notes_of(run: RunReport) -> Iterator[tuple[str, str]]:
 
 
 def log_lines(lines: Sequence[str], of_notes: bool) -> Iterator[tuple[str, str]]:
-    """Heading and text of the warnings, or of the notes, among the lines of the log that are no routine, those alike once."""
-    for line in alike(bare(line) for line in lines if not is_routine(line) and is_note(line) == of_notes):
+    """Heading and text of the warnings, or of the notes, among the lines of the log, those alike once."""
+    for line in alike(parted(filter(has_mark, lines))[of_notes]):
         head, _, text = line.partition(": ")
         yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line)
 

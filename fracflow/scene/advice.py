@@ -11,6 +11,7 @@ import numpy as np
 
 from fracflow.integrators import stepper_from
 from fracflow.laws import JOINT_LAWS
+from fracflow.remarks import note
 from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
@@ -259,7 +260,7 @@ def _growing(scene: Scene) -> Iterator[str]:
         return
     ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
     if geometry.growth is not None and ruptures and geometry.growth > GENTLE:
-        yield (
+        yield note(
             f"geometry.growth = {geometry.growth:g}: beside fracture.{ruptures[0]}, cells that grow so send waves back to it:"
             f" the error of its slip falls with their size, and by about the power 1.4 of it at a growth of {GENTLE:g}"
         )
@@ -282,7 +283,7 @@ def _jagged(scene: Scene) -> Iterator[str]:
         return
     least, unit = _transit(scene), scene.unit_system.written(TIME)
     here = "" if least is None else f" = {TRANSITS * least:.3g} {unit} by the sizes of [geometry]"
-    yield (
+    yield note(
         f"probe.{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: behind sharp fronts slip_rate rings with"
         " periods of a few cell transits h/c_s, and finer cells do not lessen it: read slip, or its increase over a time of at"
         f" least {TRANSITS} h/c_s{here}, kept as cells are refined"

@@ -11,6 +11,7 @@ from pydantic import ValidationError, model_validator
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
+from fracflow.remarks import note
 from fracflow.scene.checks import check_mesh_names, contradictions
 from fracflow.scene.geometry import with_traces
 from fracflow.scene.messages import one_line
@@ -120,4 +121,4 @@ def _with_new_path(setting: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _notice(table: str, old: str, new: str) -> str:
-    return f"{table}.{old}: this key is now called {table}.{new}; its old name is still read"
+    return note(f"{table}.{old}: this key is now called {table}.{new}; its old name is still read")

@@ -15,6 +15,7 @@ from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.output.drawing.axes import shown
+from fracflow.remarks import ACT, marked, note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
@@ -100,7 +101,7 @@ class Notices:
         totals, scene = self._totals, self._scene
         if report.handed_over and not totals.handed_over:
             after = "handed over to the monolithic solver, as are later steps like it"
-            self._log(f"{stage}: {report.handed_over}; {after}")
+            self._log(note(f"{stage}: {report.handed_over}; {after}"))
         totals.handed_over += bool(report.handed_over)
         last, factor = totals.reported_factor, report.predicted
         if np.isnan(factor):
@@ -114,14 +115,14 @@ class Notices:
                 else "fewer than two cycles were made, so that none is measured"
             )
             plain = f"a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted)"
-            self._log(f"{stage}, {time}: {plain}; {measured}")
+            self._log(note(f"{stage}, {time}: {plain}; {measured}"))
 
     def _spurious(self, time: float, share: float) -> None:
         totals = self._totals
         if share > totals.spurious:
             if totals.spurious <= SPURIOUS < share:
                 self._log(
-                    f'time {time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
+                    ACT + f'time {time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
                     f" {share:.1e} of the largest entry of the energy balance, above {SPURIOUS:g}: see energy/spurious;"
                     ' method.storage = "lumped" has none'
                 )
@@ -158,7 +159,7 @@ class Notices:
 
     def _doubt(self, line: str) -> None:
         """A line of the log that the end of the run repeats."""
-        self._log(line)
+        self._log(marked(line))
         self._totals.doubts.append(line)
 
 

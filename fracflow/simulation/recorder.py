@@ -37,6 +37,7 @@ from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
+from fracflow.remarks import marked
 from fracflow.scene.quantities import REGIMES, quantities
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
@@ -332,7 +333,7 @@ class Files:
     def _warn(self, lines: list[str]) -> None:
         """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
-            self.folder.log(f"note: {line}")
+            self.folder.log(marked(line))
             warnings.warn(line, stacklevel=2)
 
     def write_plan(self, decisions: list[Decision]) -> None:
@@ -378,7 +379,8 @@ class Files:
         sliding, is_open = (self.parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
             stage = self.scene.stage[step.stage].title
-            self.folder.log(f"time {self.scene.time_text(state.time)}: stage {stage}: {line}: {self._advice()}")
+            when = self.scene.time_text(state.time)
+            self.folder.log(marked(f"time {when}: stage {stage}: {line}: {self._advice()}"))
         slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:

@@ -25,11 +25,11 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
-from fracflow.output.remarks import marked
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
+from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -117,10 +117,12 @@ def _begun(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*map(marked, advice(scene)), *notes, *whole.placed.notes):
-        recorder.log(line)
+    for line in (*advice(scene), *notes, *whole.placed.notes):
+        recorder.log(marked(line))
     if watches_spurious(scene):
-        recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
+        recorder.log(
+            note(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
+        )
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
@@ -158,7 +160,7 @@ def resume(
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)
         done = recorder.totals.steps
-        recorder.log(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks")
+        recorder.log(note(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks"))
         undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began, folder)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
@@ -215,7 +217,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     memory = memory_at_hand(comm)
     set_defaults(model.scene.petsc, unknowns, comm.size, rock_solver, memory)
     if takes_multigrid(rock_solver, unknowns, memory=memory):
-        recorder.log(f"{as_line(unknowns, memory)}: multigrid in the place of a factorisation of the rock")
+        recorder.log(note(f"{as_line(unknowns, memory)}: multigrid in the place of a factorisation of the rock"))
     stepping = Stepping(model, recorder.log)
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)
@@ -292,7 +294,7 @@ def _steps(
                         raise
                     recorder.totals.give_up(limit)
                     after = f"handed over to stage {scene.stage[number + 1].title}"
-                    recorder.log(f"stage {stage.title}: {limit.message}; {after}")
+                    recorder.log(note(f"stage {stage.title}: {limit.message}; {after}"))
                 going_on = {}
         except ReductionInvalid:
             for each in {id(state): state, id(step.state): step.state}.values():

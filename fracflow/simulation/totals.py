@@ -10,6 +10,7 @@ import numpy as np
 
 from fracflow.errors import SolveError
 from fracflow.model.state import StepReport
+from fracflow.remarks import marked, note
 from fracflow.solve.problem import Work
 
 EARLIER = {"told_factor": "reported_factor"}  # names in checkpoints of earlier versions
@@ -93,17 +94,17 @@ class Totals:
     def summary(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """The lines that end the log, after so many ``seconds``."""
         if self.narrowest < NARROW:
-            yield (
+            yield marked(
                 f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}:"
                 " what follows there is not settled by arithmetic"
             )
         if watches_spurious:
-            yield (
+            yield note(
                 f"spurious work of the coupling: at most {self.spurious:.1e} of the largest entry of the energy balance"
                 + (f", at time {self.spurious_time:.6g}" if self.spurious else "")
             )
         if self.least:
-            yield (
+            yield note(
                 f"up to {self.least} joint ends conducted by minimum_hydraulic_aperture, at most {self.least_flow:.3g}"
                 " (volume/time) through one of them: halve it, and see whether anything changes"
             )

@@ -11,6 +11,7 @@ from fracflow.mesh.plane.quality import corner_angles
 from fracflow.mesh.plane.traces import tidy
 from fracflow.mesh.read import GeometrySpec, build_mesh, side_names
 from fracflow.mesh.split import split, summary
+from fracflow.remarks import bare, note
 
 pytestmark = pytest.mark.serial
 
@@ -32,7 +33,7 @@ ALONG = [[1, 1], [3, 1]]
 
 
 @pytest.mark.parametrize(
-    ("traces", "note", "junction"),
+    ("traces", "said", "junction"),
     [
         ([ALONG, [[2, 1.03], [2, 3]]], '"b": end (2, 1.03) moved by 0.03 to (2, 1) onto fracture "a"', (2, 1)),
         ([ALONG, [[2, 0.96], [2, 3]]], '"b": end (2, 0.96) moved by 0.04 to (2, 1) onto fracture "a"', (2, 1)),
@@ -52,9 +53,9 @@ ALONG = [[1, 1], [3, 1]]
     ],
     ids=["short", "beyond", "tips", "bend", "side", "outside", "corner", "three", "bend and crossing", "cut", "twice"],
 )  # fmt: skip
-def test_what_is_changed_is_said(traces, note, junction):
+def test_what_is_changed_is_said(traces, said, junction):
     found = network(traces)
-    assert any(note in line for line in found.notes), found.notes
+    assert any(said in line for line in found.notes), found.notes
     assert np.linalg.norm(found.points - junction, axis=1).min() < 1e-12
 
 
@@ -73,7 +74,7 @@ def test_a_trace_cut_by_a_domain_with_a_notch_has_two_parts(cells):
     found = summary(mesh)
     assert (found["blocks"], found["lengths"]["a"]) == (3, pytest.approx(2)) and areas(mesh).sum() == pytest.approx(12)
     assert raw.notes == (
-        'fracture "a": cut at (0, 3), (1, 3), (3, 3), (4, 3), where it leaves the domain; 4 is left out',
+        note('fracture "a": cut at (0, 3), (1, 3), (3, 3), (4, 3), where it leaves the domain; 4 is left out'),
     )
 
 
@@ -85,7 +86,7 @@ def test_a_crossing_at_half_a_degree(cells, degrees):
     mesh = split(raw)
     check(raw, mesh)
     assert areas(mesh).min() > 0 and areas(mesh).sum() == pytest.approx(16, rel=1e-12)
-    assert all(note.startswith(("near miss", "cells of")) for note in raw.notes)  # nothing is moved or shared
+    assert all(bare(line).startswith(("near miss", "cells of")) for line in raw.notes)  # nothing is moved or shared
     assert copies_at(mesh, (2, 2)) == 4 and summary(mesh)["tips"] == 4
     angles = corner_angles(raw.points, raw.cells)
     assert angles.min() == pytest.approx(degrees, rel=0.6) and angles.max() < 180

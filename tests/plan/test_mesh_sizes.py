@@ -22,6 +22,7 @@ from fracflow.reduction.mesh_size import (
     typical_length,
 )
 from fracflow.reduction.prepare import read_split, with_sizes
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 from fracflow.simulation.run import run
@@ -183,7 +184,7 @@ def test_what_a_scene_states_stays():
     snap = 0.004 * 63.2455532
     assert sized(stated) == stated.with_geometry({"snap": sized(stated).geometry.snap, "growth": 0.3})
     assert sized(stated).geometry.snap == pytest.approx(snap)
-    assert sized(stated).notes == ("geometry.snap = 0.252982 m: 0.4 % of the median length of traces",)
+    assert sized(stated).notes == (note("geometry.snap = 0.252982 m: 0.4 % of the median length of traces"),)
     partly = sized(scene_of(traces, geometry={"size_at_fractures": 3, "growth": 0.2})).geometry
     assert (partly.size, partly.size_at_fractures, partly.size_at_tips, partly.growth) == (5.0, 3.0, None, 0.2)
     snapped = sized(scene_of(traces, geometry={"snap": 4})).geometry

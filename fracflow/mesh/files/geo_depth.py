@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fracflow.errors import MOST_NAMED, InputError
+from fracflow.remarks import note
 
 DEEPEST = 40  # Gmsh has room for 100
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
@@ -44,7 +45,7 @@ class Checked:
         more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
         path = next(iter(self.sources.values()))
         line = f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_NAMED])}{more}"
-        return (line,) if names else ()
+        return (note(line),) if names else ()
 
 
 def check_depths(units: Mapping[str, Unit], path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.plane.planar_graph import PlanarGraph, cross, near_edges, planar_graph_of, settle
+from fracflow.remarks import note
 
 ROUNDS = 30  # of merging, moving and cutting
 EXACT = 1e-9  # of the domain's extent: moves under this are round-off and go without saying
@@ -229,7 +230,7 @@ def _inside(lines: PlanarGraph, domain: Floats, labels: _Labels) -> tuple[Planar
         met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
         where = ", ".join(map(_spot, lines.points[met]))
-        notes.append(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out")
+        notes.append(note(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out"))
     return replace(lines, edges=lines.edges[~is_out], owner=lines.owner[~is_out]), notes
 
 
@@ -263,7 +264,8 @@ def _without_repeats(
                 f" geometry.snap; {'remove one' if keeper >= 0 else 'move it inside'}, or lower snap"
             )
         if keeper != other:
-            notes.append(f"{labels(other)}: shares {shared:.4g} from {where} with {labels(keeper)}, which keeps it")
+            line = f"{labels(other)}: shares {shared:.4g} from {where} with {labels(keeper)}, which keeps it"
+            notes.append(note(line))
     kept = np.setdiff1d(np.arange(len(ends)), again)
     return replace(lines, edges=lines.edges[kept], owner=lines.owner[kept]), notes
 
@@ -285,10 +287,10 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
         before, after = _spot(lines.first[point]), _spot(lines.points[here])
-        notes.append(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}")
+        notes.append(note(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}"))
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
-            notes.append(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}")
+            notes.append(note(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}"))
     return notes
 
 

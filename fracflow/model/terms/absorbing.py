@@ -16,6 +16,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import assembled_at_nodes, nodal_force, rock_values
 from fracflow.model.terms.term import Term
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import Absorbing
 from fracflow.scene.time_table import Around
@@ -73,7 +74,7 @@ def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
     everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
     for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
         for reflection in dashpot.reflections(float(ratio)):
-            lines.append(f"absorbing {', '.join(absorbing.on)}: of {reflection} (Poisson's ratio {ratio:.4g})")
+            lines.append(note(f"absorbing {', '.join(absorbing.on)}: of {reflection} (Poisson's ratio {ratio:.4g})"))
     return lines
 
 
@@ -86,8 +87,10 @@ def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
         towards = outward(blocks, side_facets(blocks, name)) @ np.array(absorbing.wave.direction)
         if blocks.comm.allreduce(float(towards.min(initial=np.inf)), op=MPI.MIN) > SAME:
             lines.append(
-                f"absorbing {name}: the wave leaves by this side, which takes its energy off work_incident; to see it as"
-                " radiated give the side an [[absorbing]] of its own, without the wave"
+                note(
+                    f"absorbing {name}: the wave leaves by this side, which takes its energy off work_incident; to see it"
+                    " as radiated give the side an [[absorbing]] of its own, without the wave"
+                )
             )
     return lines
 

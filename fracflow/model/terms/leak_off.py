@@ -21,6 +21,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
 from fracflow.model.terms.term import Leaving, Term, TermStep
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 
 SHORTEST = 1e-3  # of the least step of the stages: substeps are shorter
@@ -54,10 +55,8 @@ class LeakOff(Term):
     @property
     def notes(self) -> tuple[str, ...]:
         """How far the pressure goes, for half spaces know no other fracture."""
-        return (
-            f"leak_off: by the end pressure goes about {self._reach:.3g}{self._length} into the rock,"
-            " which is taken to be free of other fractures",
-        )
+        line = f"leak_off: by the end pressure goes about {self._reach:.3g}{self._length} into the rock,"
+        return (note(f"{line} which is taken to be free of other fractures"),)
 
     def joints(self) -> Ints:
         """Numbers (k,) of this rank's joints that lose fluid."""

@@ -1,0 +1,39 @@
+"""Lines of ``check``, of a run and of its log, by what a reader is to do with them: nothing, know it, or act on it.
+
+Whoever writes a line says which it is. A note begins with "note: ", a warning with "! ". A list of remarks has nothing else,
+so that a line without a mark is a warning there; in a log it is one that every run has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+ACT, NOTE = "! ", "note: "
+
+
+def note(line: str) -> str:
+    """A line about which nothing is to be done: results are those of the scene as it is stated."""
+    return NOTE + line
+
+
+def marked(line: str) -> str:
+    """A remark with its mark, as a terminal and a log show it: that of a warning unless it is a note."""
+    return line if has_mark(line) else ACT + line
+
+
+def has_mark(line: str) -> bool:
+    """Whether a line of a log is a note or a warning."""
+    return line.startswith((ACT, NOTE))
+
+
+def bare(line: str) -> str:
+    """A line without the mark before it."""
+    return line.removeprefix(NOTE).removeprefix(ACT)
+
+
+def parted(lines: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Warnings and notes of a list of remarks, without their marks."""
+    found: tuple[list[str], list[str]] = ([], [])
+    for line in lines:
+        found[line.startswith(NOTE)].append(bare(line))
+    return found
