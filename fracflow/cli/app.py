@@ -117,7 +117,9 @@ def run_command(
     def say(line: str) -> None:
         console.print(marked(line), soft_wrap=True, markup=False)
 
-    run_with_progress(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
+    run_with_progress(
+        given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say), is_new=True
+    )
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

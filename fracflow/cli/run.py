@@ -6,6 +6,7 @@ import gc
 import os
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,8 +40,12 @@ def run_with_progress(
     job: Callable[[Observer], Totals],
     title: str = "",
     is_shown: bool = True,
+    is_new: bool = False,
 ) -> None:
-    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective.
+
+    is_new  whether the job writes every file of the folder itself, so that none is a stranger's
+    """
     from fracflow.cli.progress import RunProgress, Screen
     from fracflow.model.setup import on_root
     from fracflow.output.status import last_line
@@ -58,7 +63,7 @@ def run_with_progress(
         finally:
             forget()
     if is_shown or failure is not None:
-        on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None))
+        on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None, is_new))
     comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
         raise SolveError(last_line(failure, folder))
@@ -69,15 +74,17 @@ def run_with_progress(
             console.print(f"! {scene.with_time_units(line)}", soft_wrap=True, markup=False)
 
 
-def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
+def show(folder: Path, console: Console, pictures: bool, failed: bool, is_new: bool) -> None:
     """Tell what a run folder holds, and draw it."""
     from fracflow.cli.report import report
     from fracflow.output.pictures import draw
+    from fracflow.storage.reader import trusting
 
     paths: list[Path] = []
     try:
-        report(folder, console, failed)
-        paths = draw(folder) if pictures else paths
+        with trusting(folder) if is_new and not failed else nullcontext():
+            report(folder, console, failed)
+            paths = draw(folder) if pictures else paths
     except (OSError, InputError) as error:  # of the files, or of a full disk; the run itself is whole
         why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -64,10 +65,16 @@ class Reader:
         self._lock = threading.Lock()
         self._left = b""
         self._end = 0.0
+        self.trusted: Path | None = None
 
     def read(self, path: Path, names: Sequence[str] | None, live: bool) -> Found:
         """Datasets of these names, all without any. Raises ValueError with the reason where they cannot be read."""
         size = os.stat(path).st_size
+        if self.trusted in path.parents:
+            try:
+                return _found(*h5_worker.read(path, names, live))
+            except (RuntimeError, h5_worker.Refused) as error:
+                raise ValueError(str(error)) from None
         with self._lock:
             asked = {"path": os.path.abspath(path), "names": None if names is None else list(names), "live": live}
             try:
@@ -113,8 +120,7 @@ class Reader:
             most -= values.nbytes
             self._fill(values.reshape(-1).view(np.uint8).data)
             arrays[line["name"]] = values
-        layout = {name: (kind, tuple(shape)) for name, kind, shape in head["layout"]}
-        return Found(head["attributes"], layout, arrays)
+        return _found(head, arrays)
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
@@ -170,6 +176,11 @@ class Reader:
             have += self._more(view[have:])
 
 
+def _found(head: Mapping[str, Any], arrays: Arrays) -> Found:
+    layout = {name: (kind, tuple(shape)) for name, kind, shape in head["layout"]}
+    return Found(head["attributes"], layout, arrays)
+
+
 _reader = Reader()
 atexit.register(_reader.close)
 
@@ -194,3 +205,13 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
         raise InputError(f"{path}: cannot be read: {why}") from None
     except (ValueError, KeyError, TypeError, OSError, MemoryError) as error:
         raise InputError(f"{path}: {what} ({error}); {remedy}") from None
+
+
+@contextmanager
+def trusting(folder: Path) -> Iterator[None]:
+    """Read the files of a folder in this process, which has just written all of them: another takes .13 s to start."""
+    _reader.trusted = folder
+    try:
+        yield
+    finally:
+        _reader.trusted = None

@@ -18,7 +18,7 @@ if __name__ == "__main__":  # the folder of this file has modules with common na
 import json
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -54,7 +54,7 @@ def answer(request: dict[str, Any], out: BinaryIO) -> None:
     _limit_memory(4 * path.stat().st_size + SPARE)
     for left in reversed(range(ATTEMPTS if live else 1)):
         try:
-            head, arrays = _read(path, request["names"], live)
+            head, arrays = read(path, request["names"], live)
             break
         except (OSError, RuntimeError, KeyError):  # its writer may have changed it meanwhile
             if not left or not files_hdf.redo_of(path).exists():
@@ -67,7 +67,7 @@ def answer(request: dict[str, Any], out: BinaryIO) -> None:
     _send(out, {"end": True})
 
 
-def _read(path: Path, names: list[str] | None, live: bool) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+def read(path: Path, names: Sequence[str] | None, live: bool) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
     """Attributes and layout of a file, and the datasets of these names, all without any."""
     size = path.stat().st_size
     with _opened(path, live) as file:
