@@ -5,7 +5,8 @@
 The base is a Python that imports NumPy, mpi4py, petsc4py and h5py, and ends. In each pair it takes turns with
 ``fracflow run``, up to the record of its initial state: of a scene with a mesh file, and of one whose traces are meshed. Then
 follow ``fracflow check`` of the first, ``--version`` and ``--help``. CPU is that of the user and the system, without Gmsh,
-which runs in a process of its own. The least of all pairs is printed: a busy machine only adds. Bytecode is kept, as pip does.
+which runs in a process of its own. A run of one step is counted whole: with its end, Gmsh and all other processes.
+The least of all pairs is printed: a busy machine only adds. Bytecode is kept, as pip does.
 Exit 1 where the ratio of the first run is above --most.
 
     --modules   lists what has been imported at the first step, by package
@@ -37,6 +38,7 @@ app.keep_imports = begin_once_imported
 app.main()
 """
 WHOLE = "import atexit; atexit.register(shown)\nfrom fracflow.cli.app import main\nmain()"
+WITH_OTHERS = WHOLE.replace("(shown)", "(shown, True)")
 SHOWN = """
 import os, sys
 def shown():
@@ -73,6 +75,10 @@ def main() -> None:
     if not given.run_only:
         ways |= {
             "run of traces, likewise": (RUN, ["run", str(TRACES), "-o", "traces"]),
+            "run of one step, whole": (
+                WITH_OTHERS,
+                ["run", str(SCENE), "-o", "whole", "--set", "stage.0.steps=1", "--set", "output.pictures=false"],
+            ),
             "check": (WHOLE, ["check", str(SCENE)]),
             "--version": (WHOLE, ["--version"]),
             "--help": (WHOLE, ["--help"]),

@@ -1,11 +1,13 @@
 """A run imports no more than it needs: start-up is most of the cost of a small one."""
 
+import os
 import subprocess
 import sys
 
 import pytest
 from pages import ROOT
 
+from fracflow._petsc import _ALONE, _OF_LAUNCHERS, _without_network
 from fracflow.scene.units import BASE, PARTS, USUAL, _registry
 
 LATE = {"matplotlib", "PIL", "pint", "pandas", "gmsh", "meshio", "IPython", "scipy", "xml", "http"}
@@ -13,6 +15,13 @@ LATE = {"matplotlib", "PIL", "pint", "pandas", "gmsh", "meshio", "IPython", "sci
 TO_PICTURES = """
 import sys, fracflow.cli.run
 fracflow.cli.run.show = lambda *_: print(*{name.partition(".")[0] for name in sys.modules})
+from fracflow.cli.app import main
+main()
+"""
+
+TO_THE_END = """
+import atexit, fracflow.storage.reader as reader
+atexit.register(lambda: print("reader", reader._reader._process))
 from fracflow.cli.app import main
 main()
 """
@@ -30,9 +39,42 @@ def test_a_run_comes_to_its_pictures_without_these_packages(tmp_path):
 @pytest.mark.serial
 def test_start_up_takes_little_more_than_the_libraries_that_compute():
     """The bench's own ratio, with room for a busy machine: a package imported in vain adds a quarter, pint a whole."""
-    bench = [sys.executable, ROOT / "scripts/benches/startup.py", "--pairs", "3", "--run-only", "--most", "2.8"]
+    bench = [sys.executable, ROOT / "scripts/benches/startup.py", "--pairs", "3", "--run-only", "--most", "2.6"]
     done = subprocess.run(bench, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.serial
+def test_a_run_reads_itself_what_it_wrote_and_a_resumed_one_does_not(tmp_path):
+    """No process that reads HDF5 starts for files that no one else can have made."""
+    first = [
+        str(ROOT / "meshes/r01_inclined_joint/scene.toml"),
+        "--set",
+        "stage.0.steps=1",
+        "--set",
+        "output.pictures=false",
+    ]
+    for words, says in ((["run", *first, "-o", "run"], "reader None"), (["resume", "run"], "reader <Popen")):
+        done = subprocess.run(
+            [sys.executable, "-c", TO_THE_END, *words], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        assert says in done.stdout and "Energy balance" in done.stdout
+
+
+@pytest.mark.serial
+def test_only_a_process_without_launcher_starts_without_network(monkeypatch):
+    """The settings of the user and of launchers stay, and none is left to processes that start later."""
+    for name in [name for name in os.environ if name.startswith(_OF_LAUNCHERS) or name in _ALONE]:
+        monkeypatch.delenv(name)
+    with _without_network():
+        assert os.environ["OMPI_MCA_btl"] == "self"
+    assert not _ALONE.keys() & os.environ.keys()
+    for name in ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "SLURM_PROCID", "OMPI_MCA_pml"):
+        with monkeypatch.context() as given:
+            given.setenv(name, "2")
+            with _without_network():
+                assert "OMPI_MCA_btl" not in os.environ
+            assert os.environ[name] == "2"
 
 
 def test_factors_of_usual_units_are_those_of_pint():
