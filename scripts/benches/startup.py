@@ -41,10 +41,11 @@ WHOLE = "import atexit; atexit.register(shown)\nfrom fracflow.cli.app import mai
 WITH_OTHERS = WHOLE.replace("(shown)", "(shown, True)")
 SHOWN = """
 import os, sys
-def shown():
+def shown(with_others=False):
     import resource
-    each = resource.getrusage(resource.RUSAGE_SELF)
-    os.write(2, f"\\n{each.ru_utime + each.ru_stime} {' '.join(sys.modules)}".encode())
+    whose = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)[: 1 + with_others]
+    used = sum(each.ru_utime + each.ru_stime for each in map(resource.getrusage, whose))
+    os.write(2, f"\\n{used} {' '.join(sys.modules)}".encode())
     return 0
 """
 
