@@ -204,7 +204,7 @@ class SealedFile:
         return self._seal.layout
 
     def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
-        """Rows of an array, of whole pieces, as they were sealed. Raises InputError."""
+        """Rows (n, ...) of an array, of whole pieces, as they were sealed. Raises InputError."""
         found = read_h5(self._path, self._what, self._remedy, [name], rows=(first, last)).arrays.get(name)
         if found is None or len(found) != last - first:
             raise InputError(f"{self._path}: {self._what} ({name} has not all of its rows); {self._remedy}")
@@ -212,7 +212,7 @@ class SealedFile:
         return found
 
     def array(self, name: str) -> NDArray[Any]:
-        """An array, whole. Raises InputError."""
+        """An array (rows, ...), whole. Raises InputError."""
         kind, shape = self.layout.get(name, ("", (0,)))
         slabs = [self.rows(name, *each) for each in slabs_of(np.dtype(kind), shape)] if kind else []
         if not slabs:

@@ -1,9 +1,9 @@
 """The process that reads HDF5 files: the library may crash, hang or ask for any memory over a damaged or forged one.
 
 It reports that it is ready, then serves requests, a line of JSON each on standard input. Its keys are ``path``, ``names`` of
-the datasets to read (null for all), ``live`` for a file that may have a writer, and ``rows``, the first to read and the one
-after the last (null for all). A reply begins with a line of JSON with attributes and layout. Each dataset follows with a line
-of its name, type and shape, and its bytes. A line with ``end`` closes it. A line with ``error`` ends a reply too.
+the datasets to read (null for all), and ``live`` for a file that may have a writer. ``rows`` has the first row to read and the
+one after the last (null for all). A reply begins with a line of JSON with attributes and layout. Each dataset follows with a
+line of its name, type and shape, and its bytes. A line with ``end`` closes it. A line with ``error`` ends a reply too.
 
 It reads numbers in datasets of the file itself. Links other than hard ones, external storage, filters and sizes beyond the
 file are refused.
