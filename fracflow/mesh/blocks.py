@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.slabs import Order
 
 
 @dataclass(frozen=True)
@@ -129,13 +130,7 @@ class Blocks:
 
     def gather(self, ids: Ints, values: NDArray[Any], total: int) -> NDArray[Any] | None:
         """Collect rows (n, ...) by their original numbers (n,): (total, ...) on rank 0, None elsewhere. Collective."""
-        parts = self.comm.gather((ids, values), root=0)
-        if parts is None:
-            return None
-        whole = np.zeros((total, *values.shape[1:]), dtype=values.dtype)
-        for number, rows in parts:
-            whole[number] = rows
-        return whole
+        return Order(self.comm, ids, total).whole(values)
 
 
 def owner_of(starts: Ints, numbers: Ints) -> Ints:

@@ -6,8 +6,9 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,13 @@ from fracflow.errors import InputError
 from fracflow.laws.base import zero_history
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
+from fracflow.mesh.slabs import Distributed, Order
 from fracflow.model.operators import Operators
+from fracflow.model.setup import on_root
 from fracflow.model.state import FluidVolumes, Forces, Motion, PreviousStep, SectionHistory, Sections, State
-from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
+from fracflow.model.terms.term import Term
+from fracflow.storage.reader import Layout
+from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, piece_rows, read_sealed, slabs_of, write_slabs
 
 Arrays = dict[str, NDArray[Any]]
 SOLID = {
@@ -99,9 +104,9 @@ class Notes(TypedDict, total=False):
     seals: dict[str, str]
 
 
-def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
-    """Write arrays (...) and their seal to a temporary file, flush it, and replace the last checkpoint. Rank 0 only."""
-    write_sealed(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
+def write_checkpoint(path: Path, arrays: Mapping[str, Slabs], notes: Mapping[str, Any]) -> None:
+    """Write arrays and their seal to a temporary file, flush it, and replace the last checkpoint. Rank 0 only."""
+    write_slabs(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
 
 
 def read_notes(path: Path) -> dict[str, Any]:
@@ -151,78 +156,70 @@ def check_stage(notes: Mapping[str, Any], kinds: Sequence[str]) -> None:
         )
 
 
-def spread(comm: MPI.Comm, arrays: Arrays | None) -> Arrays:
-    """The arrays of rank 0 on every rank. Collective."""
-    shapes = comm.bcast(None if arrays is None else [(k, v.dtype.str, v.shape) for k, v in arrays.items()], root=0)
-    found = {name: np.empty(shape, kind) for name, kind, shape in shapes} if arrays is None else arrays
-    for name, _, _ in shapes:
-        comm.Bcast(found[name], root=0)
-    return found
-
-
-def gather_state(operators: Operators, state: State) -> Arrays | None:
-    """The arrays of a state in original order, and the rank of each cell, on rank 0. Collective."""
+def state_arrays(operators: Operators, state: State) -> dict[str, Distributed]:
+    """The arrays of a state in original order, and the rank of each cell; the same names on all ranks."""
     blocks = operators.blocks
-    places, total = _solid_places(blocks)
-    used = places >= 0
-    arrays: dict[str, NDArray[Any] | None] = {}
-    for name, part in SOLID.items():
-        local = getattr(getattr(state, part), name).getArray(readonly=True)
-        arrays[name] = blocks.gather(places[used], local[used], total)
-    for name, part in FLOW.items() if operators.flow is not None else ():
-        local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
-        arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
-    if state.previous_step.velocity is not None:
-        local = state.previous_step.velocity.getArray(readonly=True)
-        arrays[MEMORY] = blocks.gather(places[used], local[used], total)
-    anchor = {} if state.forces.anchor is None else {ANCHOR: state.forces.anchor}
-    for name, vector in {**state.forces.of_terms, **anchor}.items():
-        arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
-    for name, rate in zip(RATES, (state.uptake, state.previous_step.uptake), strict=True):
-        if rate is not None:
-            arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
-    joints, points = blocks.joints.ids, operators.joints.points
+    orders, used = _orders(blocks)
+    of_terms = {**state.forces.of_terms, **({} if state.forces.anchor is None else {ANCHOR: state.forces.anchor})}
+    rates = zip(RATES, (state.uptake, state.previous_step.uptake), strict=True)
+    solid = {name: getattr(getattr(state, part), name) for name, part in SOLID.items()}
+    flow = {name: getattr(getattr(state, part) if part else state, name) for name, part in FLOW.items()}
+    memory = {} if state.previous_step.velocity is None else {MEMORY: state.previous_step.velocity}
+    found = {name: orders.solid.of(vector.getArray(readonly=True)[used]) for name, vector in solid.items()}
+    if operators.flow is not None:
+        found |= {name: orders.flow.of(vector.getArray(readonly=True)) for name, vector in flow.items()}
+    for name, vector in (memory | of_terms).items():
+        found[name] = orders.solid.of(vector.getArray(readonly=True)[used])
+    found |= {name: orders.flow.of(rate.getArray(readonly=True)) for name, rate in rates if rate is not None}
+    joints, points = len(blocks.joints.ids), operators.joints.points
     at_sections = {
         f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "history"
     }
     for name, values in {**at_sections, "friction": state.friction}.items():
-        rows = values.reshape(len(joints), points, *values.shape[1:])
-        arrays[name] = blocks.gather(joints, rows, blocks.sizes.joints)
+        found[name] = orders.joints.of(values.reshape(joints, points, *values.shape[1:]))
     for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.history, strict=True)):
         for name, values in past.items():
-            whole = np.zeros((len(joints) * points, *values.shape[1:]))
-            whole[group.sections] = values
-            rows = whole.reshape(len(joints), points, *values.shape[1:])
-            arrays[f"past/{number}/{name}"] = blocks.gather(joints, rows, blocks.sizes.joints)
-    for name, values in state.memory.items():
-        arrays[f"memory/{name}"] = blocks.gather(joints, values, blocks.sizes.joints)
-    rank = np.full(len(blocks.solid.cell_ids), blocks.comm.rank)
-    arrays["cell_rank"] = blocks.gather(blocks.solid.cell_ids, rank, blocks.sizes.cells)
-    return None if blocks.comm.rank else {name: values for name, values in arrays.items() if values is not None}
+            everywhere = np.zeros((joints * points, *values.shape[1:]))
+            everywhere[group.sections] = values
+            found[f"past/{number}/{name}"] = orders.joints.of(everywhere.reshape(joints, points, *values.shape[1:]))
+    found |= {f"memory/{name}": orders.joints.of(values) for name, values in state.memory.items()}
+    cells = Order(blocks.comm, blocks.solid.cell_ids, blocks.sizes.cells)
+    return found | {"cell_rank": cells.of(np.full(cells.count, blocks.comm.rank))}
 
 
-def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]) -> State:
-    """The saved state, distributed over the present ranks. Raises InputError for that of another mesh. Collective."""
+def open_arrays(path: Path) -> SealedFile:
+    """The arrays of a checkpoint, to be read by slabs. Raises InputError as ``read_arrays``. Rank 0 only."""
+    return SealedFile(path, _NO_CHECKPOINT)
+
+
+def restore_state(operators: Operators, file: SealedFile | None, notes: Mapping[str, Any]) -> State:
+    """The state in a ``file`` that rank 0 reads, distributed over the present ranks. Collective.
+
+    Raises InputError on all ranks for that of another mesh, and for what is not as it was sealed.
+    """
     blocks, layout = operators.blocks, operators.layout
-    places, total = _solid_places(blocks)
-    _check_shapes(arrays, operators, total, notes["last_step"] > 0.0)
+    orders, used = _orders(blocks)
+    found = _SavedArrays(blocks.comm, file)
+    _check_shapes(found.layout, operators, orders.solid.total, notes["last_step"] > 0.0)
 
     def solid(name: str) -> PETSc.Vec:
         vector = layout.solid_vector()
-        vector.setArray(np.where(places >= 0, arrays[name][places], 0.0))
+        values = np.zeros(layout.solid_count)
+        values[used] = found.rows(name, orders.solid)
+        vector.setArray(values)
         return vector
 
     def flow(name: str) -> PETSc.Vec:
         vector = layout.flow_vector()
         if operators.flow is not None:
-            vector.setArray(arrays[name][blocks.flow.ids])
+            vector.setArray(found.rows(name, orders.flow))
         return vector
 
     def saved(name: str) -> PETSc.Vec | None:
-        return flow(name) if name in arrays else None
+        return flow(name) if name in found.layout else None
 
     def at_sections(name: str) -> NDArray[Any]:
-        values = arrays[name][blocks.joints.ids]
+        values = found.rows(name, orders.joints)
         return values.reshape(-1, *values.shape[2:])
 
     past: SectionHistory = tuple(
@@ -230,6 +227,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         for number, group in enumerate(operators.joints.laws)
     )
     parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "history"}
+    names = _names_of_terms(operators, found.layout)
     return State(
         time=notes["time"],
         motion=Motion(solid("displacement"), solid("velocity"), solid("acceleration")),
@@ -240,9 +238,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             solid("support"),
             flow("conduction"),
             flow("source"),
-            {name: solid(name) for name in _names_of_terms(operators, arrays)},
-            notes.get("powers") or dict.fromkeys(_names_of_terms(operators, arrays), notes.get("incident", 0.0)),
-            solid(ANCHOR) if ANCHOR in arrays else None,
+            {name: solid(name) for name in names},
+            notes.get("powers") or dict.fromkeys(names, notes.get("incident", 0.0)),
+            solid(ANCHOR) if ANCHOR in found.layout else None,
         ),
         controls=notes["controls"],
         energy=notes["energy"],
@@ -258,28 +256,61 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         left=notes.get("left", {}),
         volumes=FluidVolumes(**notes.get("volumes", {})),
-        memory={
-            term.name: term.restored(arrays[f"memory/{term.name}"], blocks.joints.ids)
-            for term in operators.terms
-            if term.has_memory
-        },
+        memory={term.name: found.memory(term, orders.joints) for term in operators.terms if term.has_memory},
         adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
 
 
-def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
+class _SavedArrays:
+    """The arrays of a checkpoint for all ranks; rank 0 reads them, a slab at a time. Calls are collective."""
+
+    def __init__(self, comm: MPI.Comm, file: SealedFile | None) -> None:
+        self._comm, self._file = comm, file
+        self.layout: Layout = comm.bcast(None if file is None else file.layout, root=0)
+
+    def rows(self, name: str, order: Order) -> NDArray[Any]:
+        """This rank's rows (n, ...). Raises InputError for values that no state has."""
+        kind, shape = self.layout[name]
+        values = np.zeros((order.count, *shape[1:]), kind)
+        for first, last in slabs_of(values.dtype, shape):
+            order.hand_out(on_root(self._comm, partial(self._slab, name, first, last)), first, last, values)
+        return values
+
+    def memory(self, term: Term, order: Order) -> NDArray[Any]:
+        """The memory (j, 2, m) of a term. Raises ValueError, on all ranks, for that of another."""
+        name = f"memory/{term.name}"
+        found, fault, (kind, shape) = self.rows(name, order), "", self.layout[name]
+        start = on_root(self._comm, partial(self._slab, name, 0, min(piece_rows(kind, shape), shape[0])))
+        first = self._comm.bcast(None if start is None else start[:1], root=0)
+        try:
+            found = term.restored(found, first)
+        except ValueError as error:
+            fault = str(error)
+        if fault := max(self._comm.allgather(fault)):
+            raise ValueError(fault)
+        return found
+
+    def _slab(self, name: str, first: int, last: int) -> NDArray[Any]:
+        assert self._file is not None
+        rows = self._file.rows(name, first, last)
+        if np.any(np.isnan(rows) if name in ENDLESS else ~np.isfinite(rows)):
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} has values that are no finite numbers); {AGAIN}")
+        return rows
+
+
+def _names_of_terms(operators: Operators, layout: Layout) -> list[str]:
     """The terms with stored forces."""
-    return [term.name for term in operators.terms if term.name in arrays]
+    return [term.name for term in operators.terms if term.name in layout]
 
 
-def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
+def _check_shapes(layout: Layout, operators: Operators, unknowns: int, remembers: bool) -> None:
     sizes, joint = operators.blocks.sizes, (operators.blocks.sizes.joints, operators.joints.points)
     flow = FLOW if operators.flow is not None else ()
     shapes: dict[str, tuple[int, ...]] = {name: (unknowns,) for name in SOLID}
     shapes |= {name: (sizes.flow_nodes,) for name in flow}
     shapes |= {MEMORY: (unknowns,)} if remembers else {}
-    shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in arrays}
-    kept = (*_names_of_terms(operators, arrays), *([ANCHOR] if ANCHOR in arrays else []))
+    shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in layout}
+    kept = (*_names_of_terms(operators, layout), *([ANCHOR] if ANCHOR in layout else []))
     shapes |= {name: (unknowns,) for name in kept}
     parts = {
         f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "history"
@@ -289,9 +320,9 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
         past = zero_history(group.law.history, 1, sizes.dim)
         shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
     for name in (f"memory/{term.name}" for term in operators.terms if term.has_memory):
-        shapes[name] = (sizes.joints, 2, *(arrays[name].shape[2:3] if name in arrays else ()))
+        shapes[name] = (sizes.joints, 2, *(layout[name][1][2:3] if name in layout else ()))
     for name, shape in shapes.items():
-        found = arrays[name].shape if name in arrays else (0,)
+        kind, found = layout.get(name, ("", (0,)))
         if found != shape:
             rows = f"{found[0] if found else 0} rows, not {shape[0]}"
             raise InputError(
@@ -299,11 +330,28 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
                 f" {rows if found[:1] != shape[:1] else f'the shape {found}, not {shape}'}); {AGAIN}"
             )
         wanted = "b" if name in ("sections/is_sliding", "sections/is_open") else "f"
-        if name in arrays and arrays[name].dtype.kind != wanted:
-            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} is of type {arrays[name].dtype}); {AGAIN}")
-        is_wrong = np.isnan if name in ENDLESS else lambda values: ~np.isfinite(values)
-        if name in arrays and np.any(is_wrong(arrays[name])):
-            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} has values that are no finite numbers); {AGAIN}")
+        if kind and np.dtype(kind).kind != wanted:
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} is of type {np.dtype(kind)}); {AGAIN}")
+
+
+class _Orders(NamedTuple):
+    """The order of displacement unknowns, flow nodes and joints."""
+
+    solid: Order
+    flow: Order
+    joints: Order
+
+
+def _orders(blocks: Blocks) -> tuple[_Orders, NDArray[np.bool_] | slice]:
+    """In which order they are saved, and the displacement unknowns of this rank that a node or a body has."""
+    places, total = _solid_places(blocks)
+    used, comm, sizes = places >= 0, blocks.comm, blocks.sizes
+    orders = _Orders(
+        Order(comm, places[used], total),
+        Order(comm, blocks.flow.ids, sizes.flow_nodes),
+        Order(comm, blocks.joints.ids, sizes.joints),
+    )
+    return orders, slice(None) if used.all() else used
 
 
 def _solid_places(blocks: Blocks) -> tuple[Ints, int]:

@@ -21,13 +21,14 @@ from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats, is_unmeshed
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.plane.unmeshed import map_cells
+from fracflow.mesh.slabs import on_rank_0
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
-from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
+from fracflow.output.checkpoint import restoring, state_arrays, write_checkpoint
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
@@ -42,7 +43,7 @@ from fracflow.scene.quantities import REGIMES, quantities
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
-from fracflow.storage.sealed import AGAIN, digest
+from fracflow.storage.sealed import AGAIN, Slabs, digest
 
 Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
@@ -189,10 +190,11 @@ class Recorder:
         """Write the checkpoint, if the run can go on from this step. Collective."""
         if step.progress is None:
             return
-        arrays = gather_state(self.model.operators, step.state)
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
-        if (files := self.files) is not None and arrays is not None:
-            self._write(lambda files: files.save(step, arrays, about))
+        with on_rank_0(self.comm, state_arrays(self.model.operators, step.state)) as arrays:
+            if arrays is not None:
+                self._write(lambda files: files.save(step, arrays, about))
+        if (files := self.files) is not None:
             if self.lost is None:
                 self.saved = self.totals.steps
                 self.report_saved(self._report_saved)
@@ -340,7 +342,7 @@ class Files:
         """Write plan.json: the parts that are modelled or left out, and the pre-run checks."""
         self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
-    def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
+    def save(self, step: Step, arrays: Mapping[str, Slabs], about: Mapping[str, Any]) -> None:
         """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
         self.folder.check(is_thorough=True)
         state = step.state

@@ -22,7 +22,7 @@ from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
-from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
+from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_state, restoring
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
@@ -147,8 +147,9 @@ def resume(
             totals = Totals.of(notes["totals"])
         if notes["finished"]:
             return totals
-        arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
-        cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
+        arrays = on_root(comm, lambda: open_arrays(saved))
+        is_as_before = notes["ranks"] == comm.size
+        cell_rank = on_root(comm, lambda: arrays.array("cell_rank") if arrays and is_as_before else None)
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
         model = prepare(scene, comm, mesh, cell_rank, begins=False)
         refuse_imbalance(model)

@@ -67,16 +67,17 @@ class Reader:
         self._end = 0.0
         self.trusted: Path | None = None
 
-    def read(self, path: Path, names: Sequence[str] | None, live: bool) -> Found:
-        """Datasets of these names, all without any. Raises ValueError with the reason where they cannot be read."""
+    def read(self, path: Path, names: Sequence[str] | None, live: bool, rows: tuple[int, int] | None = None) -> Found:
+        """Datasets of these names, all without any, or ``rows`` of them. Raises ValueError with the reason if it cannot."""
         size = os.stat(path).st_size
         if self.trusted in path.parents:
             try:
-                return _found(*h5_worker.read(path, names, live))
+                return _found(*h5_worker.read(path, names, live, rows))
             except (RuntimeError, h5_worker.Refused) as error:
                 raise ValueError(str(error)) from None
         with self._lock:
-            asked = {"path": os.path.abspath(path), "names": None if names is None else list(names), "live": live}
+            whole = {"path": os.path.abspath(path), "names": None if names is None else list(names), "live": live}
+            asked = whole | {"rows": rows}
             try:
                 process = self._started()
                 self._end = time.monotonic() + PATIENCE + size / SLOWEST
@@ -185,12 +186,20 @@ _reader = Reader()
 atexit.register(_reader.close)
 
 
-def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | None = None, live: bool = False) -> Found:
+def read_h5(
+    path: str | Path,
+    what: str,
+    remedy: str,
+    names: Sequence[str] | None = None,
+    live: bool = False,
+    rows: tuple[int, int] | None = None,
+) -> Found:
     """Read an HDF5 file that may be damaged or forged, in bounded time and memory.
 
     what    how a message goes on that cannot call it so: "is no checkpoint"
     names   of the datasets to read, all of them without any
     live    whether a run may be writing to it, row by row: all datasets then have the rows that the shortest has
+    rows    first of the rows to read, and the one after the last; all of them without any
 
     Raises InputError, with ``what``, the reason and the ``remedy``; or says that the machine reads no such file now.
     """
@@ -199,7 +208,7 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
         raise InputError(f"{path}: {what} (no such file); {remedy}")
     check_regular(path, remedy, 1 << 62)
     try:
-        return _reader.read(path, names, live)
+        return _reader.read(path, names, live, rows)
     except _NotStarted as error:
         why = f"the process that reads HDF5 files {error}; try again later"
         raise InputError(f"{path}: cannot be read: {why}") from None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,30 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.storage.hdf5 import add_dataset, whole_file
-from fracflow.storage.reader import Arrays, Layout, read_h5
+from fracflow.storage.reader import Arrays, Found, Layout, read_h5
 
 SEAL = "seal"  # dataset of digests, and attribute of the root
 PIECE = 1 << 20  # bytes
 WIDTH = 16  # bytes of a digest
 AGAIN = "start the run again with fracflow run"
+SLAB = 1 << 23  # bytes of rows of an array that one rank holds for others
 _BLOCK = 1 << 24  # bytes of rows that are put together at once
 
 Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Slabs:
+    """An array that comes in slabs of rows.
+
+    kind   type of its numbers
+    shape  that of the whole
+    parts  (rows, ...) from the first row to the last
+    """
+
+    kind: np.dtype[Any]
+    shape: tuple[int, ...]
+    parts: Iterable[NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -58,12 +73,46 @@ def piece_rows(kind: str, shape: Sequence[int]) -> int:
     return max(1, PIECE // max(1, np.dtype(kind).itemsize * int(np.prod(shape[1:], dtype=np.int64))))
 
 
+def slabs_of(kind: np.dtype[Any], shape: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """First row of each slab of an array, and the row after its last: whole pieces, SLAB bytes where a piece is not more."""
+    rows = piece_rows(kind.str, shape) * (SLAB // PIECE)
+    for first in range(0, shape[0], rows):
+        yield first, min(first + rows, shape[0])
+
+
+class _Pieces:
+    """Digests of the pieces of an array whose rows come in slabs."""
+
+    def __init__(self, kind: str, shape: Sequence[int]) -> None:
+        self._rows, self._have, self._ended = piece_rows(kind, shape), 0, b""
+        self._open = hashlib.blake2b(digest_size=WIDTH)
+
+    def add(self, slab: NDArray[Any]) -> None:
+        """Take the rows (n, ...) that follow."""
+        at = 0
+        while at < len(slab):
+            upto = min(len(slab), at + self._rows - self._have)
+            self._open.update(slab[at:upto].reshape(-1).view(np.uint8).data)
+            self._have, at = self._have + upto - at, upto
+            if self._have == self._rows:
+                self._end()
+
+    def _end(self) -> None:
+        self._ended += self._open.digest()
+        self._have, self._open = 0, hashlib.blake2b(digest_size=WIDTH)
+
+    def digests(self) -> Bytes:
+        """(k, WIDTH), once all rows have come."""
+        if self._have:
+            self._end()
+        return np.frombuffer(self._ended, dtype=np.uint8).reshape(-1, WIDTH)
+
+
 def pieces(values: NDArray[Any]) -> Bytes:
     """Digests (k, WIDTH) of the pieces of an array."""
-    rows, count = piece_rows(values.dtype.str, values.shape), len(np.atleast_1d(values))
-    whole = np.ascontiguousarray(np.atleast_1d(values))
-    found = [digest(whole[at : at + rows].reshape(-1).view(np.uint8).data) for at in range(0, count, rows)]
-    return np.frombuffer(b"".join(found), dtype=np.uint8).reshape(-1, WIDTH)
+    found = _Pieces(values.dtype.str, values.shape)
+    found.add(np.ascontiguousarray(np.atleast_1d(values)))
+    return found.digests()
 
 
 def root_of(layout: Layout, notes: Mapping[str, Any], digests: Bytes) -> str:
@@ -78,6 +127,17 @@ def layout_of(arrays: Mapping[str, NDArray[Any]]) -> Layout:
 
 
 def write_sealed(path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Any], durable: bool = True) -> str:
+    """Write arrays and notes with their seal as ``write_slabs`` does; gives the root. Raises OSError."""
+    return write_slabs(path, {name: whole(each) for name, each in arrays.items()}, notes, durable)
+
+
+def whole(values: Any) -> Slabs:
+    """An array of which all is there, as one slab."""
+    found = np.asarray(values)
+    return Slabs(found.dtype, found.shape, [found])
+
+
+def write_slabs(path: Path, arrays: Mapping[str, Slabs], notes: Mapping[str, Any], durable: bool = True) -> str:
     """Write arrays and notes with their seal aside, and put the file in the place of the last one; gives the root.
 
     notes    texts and numbers
@@ -85,17 +145,30 @@ def write_sealed(path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Any]
 
     Raises OSError.
     """
-    values = {name: np.asarray(each) for name, each in arrays.items()}
-    digests = np.concatenate([np.zeros((0, WIDTH), np.uint8), *(pieces(values[name]) for name in sorted(values))])
-    root = root_of(layout_of(values), notes, digests)
     with whole_file(path, is_synced=durable) as file:
-        for name, each in (*values.items(), (SEAL, digests)):
-            dataset = add_dataset(file, name, each.dtype, each.shape)
-            if each.size:
-                dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(each).reshape(each.shape))
+        found = {name: _write_slabs(file, name, array) for name, array in arrays.items()}
+        digests = np.concatenate([np.zeros((0, WIDTH), np.uint8), *(found[name] for name in sorted(found))])
+        root = root_of({name: (array.kind.str, array.shape) for name, array in arrays.items()}, notes, digests)
+        _write_slabs(file, SEAL, whole(digests))
         for name, note in {**notes, SEAL: root}.items():
             file.attrs[name] = note
     return root
+
+
+def _write_slabs(file: h5py.File, name: str, array: Slabs) -> Bytes:
+    """Write an array, slab by slab; the digests (k, WIDTH) of its pieces."""
+    dataset, found, at = add_dataset(file, name, array.kind, array.shape), _Pieces(array.kind.str, array.shape), 0
+    for part in array.parts:
+        slab = np.ascontiguousarray(part).reshape(part.shape)
+        found.add(np.atleast_1d(slab))
+        if slab.shape == array.shape and slab.size:
+            dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, slab)
+        elif slab.size:
+            there = dataset.get_space()
+            there.select_hyperslab((at, *(0 for _ in slab.shape[1:])), slab.shape)
+            dataset.write(h5py.h5s.create_simple(slab.shape), there, slab)
+            at += len(slab)
+    return found.digests()
 
 
 def read_sealed(
@@ -109,26 +182,84 @@ def read_sealed(
     Raises InputError that names the file and the array.
     """
     found = read_h5(path, what, remedy, None if names is None else [*names, SEAL])
-    layout, arrays, notes = dict(found.layout), dict(found.arrays), dict(found.attributes)
-    root, digests = str(notes.pop(SEAL, "")), arrays.pop(SEAL, None)
-    known = layout.pop(SEAL, None)
-    if not root and known is None and not ours:
-        return Sealed(arrays, notes, "")
-    starts = _starts(layout)
-    if digests is None or digests.dtype != np.uint8 or digests.shape[1:] != (WIDTH,):
-        raise InputError(f"{path}: its seal is damaged; {remedy}")
-    for name, values in arrays.items() if len(digests) == starts[""] else ():
-        mine = pieces(values)
-        wrong = np.flatnonzero((digests[starts[name] : starts[name] + len(mine)] != mine).any(axis=1))
+    seal, arrays = _Seal(path, found, remedy), {name: each for name, each in found.arrays.items() if name != SEAL}
+    for name, values in arrays.items():
+        seal.check_rows(name, values)
+    seal.check_root(ours)
+    return Sealed(arrays, seal.notes, seal.root)
+
+
+class SealedFile:
+    """A sealed file of which slabs of rows are read; names, shapes and notes are held against the seal at once."""
+
+    def __init__(self, path: Path, what: str, remedy: str = AGAIN, ours: str = "") -> None:
+        """Arguments as of ``read_sealed``. Raises InputError."""
+        self._path, self._what, self._remedy = path, what, remedy
+        self._seal = _Seal(path, read_h5(path, what, remedy, [SEAL]), remedy)
+        self._seal.check_root(ours)
+
+    @property
+    def layout(self) -> Layout:
+        """Types and shapes of its arrays."""
+        return self._seal.layout
+
+    def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
+        """Rows (n, ...) of an array, of whole pieces, as they were sealed. Raises InputError."""
+        found = read_h5(self._path, self._what, self._remedy, [name], rows=(first, last)).arrays.get(name)
+        if found is None or len(found) != last - first:
+            raise InputError(f"{self._path}: {self._what} ({name} has not all of its rows); {self._remedy}")
+        self._seal.check_rows(name, found, first)
+        return found
+
+    def array(self, name: str) -> NDArray[Any]:
+        """An array (rows, ...), whole. Raises InputError."""
+        kind, shape = self.layout.get(name, ("", (0,)))
+        slabs = [self.rows(name, *each) for each in slabs_of(np.dtype(kind), shape)] if kind else []
+        if not slabs:
+            raise InputError(f"{self._path}: {self._what} (it has no {name}); {self._remedy}")
+        return np.concatenate(slabs)
+
+
+class _Seal:
+    """The seal of a file, with its layout and notes. Where an earlier version left none, all passes."""
+
+    def __init__(self, path: Path, found: Found, remedy: str) -> None:
+        self._path, self._remedy = path, remedy
+        self.layout, self.notes = dict(found.layout), dict(found.attributes)
+        self.root, self._digests = str(self.notes.pop(SEAL, "")), found.arrays.get(SEAL)
+        self._is_there = self.layout.pop(SEAL, None) is not None or bool(self.root)
+        self._starts = _starts(self.layout)
+
+    def check_rows(self, name: str, values: NDArray[Any], first: int = 0) -> None:
+        """Hold rows, from the ``first`` of a piece on, against their digests. Raises InputError."""
+        if not self._is_there:
+            return
+        digests = self._sound()
+        if len(digests) != self._starts[""]:
+            return  # nor is the root that of these
+        mine, rows = pieces(values), piece_rows(*self.layout[name])
+        at = self._starts[name] + first // rows
+        wrong = np.flatnonzero((digests[at : at + len(mine)] != mine).any(axis=1))
         if len(wrong):
-            rows = piece_rows(*layout[name])
-            first, last = int(wrong[0]) * rows, min((int(wrong[0]) + 1) * rows, len(np.atleast_1d(values))) - 1
-            raise InputError(f"{path}: {name}, rows {first} to {last}, is not as it was sealed; {remedy}")
-    if root != root_of(layout, notes, digests):
-        raise InputError(f"{path}: its notes, names or shapes are not as they were sealed; {remedy}")
-    if ours and root != ours:
-        raise InputError(f"{path}: is not of this run: its seal is another than checkpoint.h5 says; {remedy}")
-    return Sealed(arrays, notes, root)
+            start = first + int(wrong[0]) * rows
+            last = min(start + rows, first + len(np.atleast_1d(values))) - 1
+            raise InputError(f"{self._path}: {name}, rows {start} to {last}, is not as it was sealed; {self._remedy}")
+
+    def check_root(self, ours: str) -> None:
+        """Hold names, shapes and notes against the root, and that against ``ours`` if it is known. Raises InputError."""
+        if not self._is_there and not ours:
+            return
+        if self.root != root_of(self.layout, self.notes, self._sound()):
+            raise InputError(f"{self._path}: its notes, names or shapes are not as they were sealed; {self._remedy}")
+        if ours and self.root != ours:
+            why = "is not of this run: its seal is another than checkpoint.h5 says"
+            raise InputError(f"{self._path}: {why}; {self._remedy}")
+
+    def _sound(self) -> Bytes:
+        digests = self._digests
+        if digests is None or digests.dtype != np.uint8 or digests.shape[1:] != (WIDTH,):
+            raise InputError(f"{self._path}: its seal is damaged; {self._remedy}")
+        return digests
 
 
 def _starts(layout: Layout) -> dict[str, int]:

@@ -1,9 +1,9 @@
 """The process that reads HDF5 files: the library may crash, hang or ask for any memory over a damaged or forged one.
 
 It reports that it is ready, then serves requests, a line of JSON each on standard input. Its keys are ``path``, ``names`` of
-the datasets to read (null for all), and ``live`` for a file that may have a writer. A reply begins with a line of JSON with
-attributes and layout. Each dataset follows with a line of its name, type and shape, and its bytes. A line with ``end`` closes
-it. A line with ``error`` ends a reply too.
+the datasets to read (null for all), and ``live`` for a file that may have a writer. ``rows`` has the first row to read and the
+one after the last (null for all). A reply begins with a line of JSON with attributes and layout. Each dataset follows with a
+line of its name, type and shape, and its bytes. A line with ``end`` closes it. A line with ``error`` ends a reply too.
 
 It reads numbers in datasets of the file itself. Links other than hard ones, external storage, filters and sizes beyond the
 file are refused.
@@ -54,7 +54,7 @@ def answer(request: dict[str, Any], out: BinaryIO) -> None:
     _limit_memory(4 * path.stat().st_size + SPARE)
     for left in reversed(range(ATTEMPTS if live else 1)):
         try:
-            head, arrays = read(path, request["names"], live)
+            head, arrays = read(path, request["names"], live, request["rows"])
             break
         except (OSError, RuntimeError, KeyError):  # its writer may have changed it meanwhile
             if not left or not files_hdf.redo_of(path).exists():
@@ -67,8 +67,10 @@ def answer(request: dict[str, Any], out: BinaryIO) -> None:
     _send(out, {"end": True})
 
 
-def read(path: Path, names: Sequence[str] | None, live: bool) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
-    """Attributes and layout of a file, and the datasets of these names, all without any."""
+def read(
+    path: Path, names: Sequence[str] | None, live: bool, asked: Sequence[int] | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+    """Attributes and layout of a file, and the datasets of these names, all without any, or the rows asked for."""
     size = path.stat().st_size
     with _opened(path, live) as file:
         # no dataset stays open: one takes memory for tables of chunks, and there may be thousands
@@ -78,13 +80,11 @@ def read(path: Path, names: Sequence[str] | None, live: bool) -> tuple[dict[str,
         ]
         if sum(np.dtype(kind).itemsize * prod(shape) for _, kind, shape in layout) > bound(size):
             raise Refused(f"its datasets claim more than the {size} bytes of the file hold")
-        rows = min((shape[0] for _, _, shape in layout if shape), default=0) if live else None
+        shortest = min((shape[0] for _, _, shape in layout if shape), default=0) if live else None
+        rows = slice(*asked) if asked else slice(shortest)
         known = {name: shape for name, _, shape in layout}
         wanted = known if names is None else [name for name in names if name in known]
-        arrays = {
-            name: np.ascontiguousarray(file[name][()] if rows is None or not known[name] else file[name][:rows])
-            for name in wanted
-        }
+        arrays = {name: np.ascontiguousarray(file[name][rows] if known[name] else file[name][()]) for name in wanted}
         return {"attributes": _attributes(file), "layout": layout}, arrays
 
 

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from chromium import Chromium
+from resealed import changed_notes
 from stopped_run import spoken, stop_half_way
 
 import fracflow
@@ -22,7 +23,7 @@ from fracflow.model.terms.absorbing import AbsorbingSides
 from fracflow.model.terms.fault_damping import FaultDamping
 from fracflow.model.terms.leak_off import LeakOff
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
-from fracflow.output.checkpoint import read_notes, write_checkpoint
+from fracflow.output.checkpoint import read_notes
 from fracflow.output.drawing.axes import suited_unit
 from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
 from fracflow.run_report import words, write_report
@@ -30,7 +31,6 @@ from fracflow.run_report.catalogue import events_of
 from fracflow.run_report.data import RunReport, number, read_run, thinned
 from fracflow.run_report.map import _traces, read_frames
 from fracflow.simulation.run import resume, run
-from fracflow.storage.sealed import read_sealed
 
 pytestmark = pytest.mark.serial
 
@@ -377,10 +377,8 @@ def test_a_checkpoint_without_profiles_is_resumed(stopped, tmp_path, lost):
     steps = len(fracflow.open(folder).history["time"])
     (folder / "profiles.h5").unlink()
     if not lost:
-        found = read_sealed(folder / "checkpoint.h5", "is no checkpoint")
-        notes = json.loads(found.notes["notes"])
-        del notes["totals"]["profiles"]
-        write_checkpoint(folder / "checkpoint.h5", found.arrays, notes)
+        with changed_notes(folder / "checkpoint.h5") as notes:
+            del notes["totals"]["profiles"]
     resume(folder)
     mine, run = read_profiles(folder), read_run(folder)
     assert mine["step"][0] == steps and mine["time"].tolist() == run.times[mine["step"]].tolist()

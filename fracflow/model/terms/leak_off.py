@@ -96,15 +96,15 @@ class LeakOff(Term):
         new[..., RATE] = first_rate(step.alphas, volume, 0.0, memory[..., RATE], memory[..., MEAN])
         return new
 
-    def restored(self, saved: Floats, ids: Ints) -> Floats:
-        """Memory (j, 2, m) with this scene's exponentials; see ``Term``. Raises ValueError, on all ranks, if it is none."""
-        lowest = saved[..., LOWEST]
-        first = float(lowest.flat[0])
-        if saved.shape[-1] < FEWEST or np.ptp(lowest) != 0.0 or first % 1.0 != 0.0 or abs(first) > RANGE:
+    def restored(self, saved: Floats, first: Floats) -> Floats:
+        """Memory (j, 2, m) with this scene's exponentials; see ``Term``. Raises ValueError if it is none."""
+        lowest = float(first[..., LOWEST].flat[0])
+        is_one = bool((saved[..., LOWEST] == lowest).all())
+        if saved.shape[-1] < FEWEST or not is_one or lowest % 1.0 != 0.0 or abs(lowest) > RANGE:
             raise ValueError("leak_off")
-        memory = saved[ids]
+        memory = saved
         new = self._at_rest(memory[..., PRESSURE])
-        new[..., :PRESSURE] = memory_of(self._kernel, memory[..., :PRESSURE], int(first))
+        new[..., :PRESSURE] = memory_of(self._kernel, memory[..., :PRESSURE], int(lowest))
         new[..., RATE], new[..., MEAN] = memory[..., RATE], memory[..., MEAN]
         return new
 

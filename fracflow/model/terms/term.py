@@ -116,12 +116,12 @@ class Term:
         """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
         return step.memory[self.name]
 
-    def restored(self, saved: Floats, ids: Ints) -> Floats:
-        """Its memory (j, 2, m) from that (n, 2, k) of all joints in a checkpoint, whose stages may have had other times.
+    def restored(self, saved: Floats, first: Floats) -> Floats:
+        """Its memory (j, 2, m) from that (j, 2, k) in a checkpoint, whose stages may have had other times.
 
-        ids  numbers (j,) of this rank's joints
+        first  (1, 2, k) that of the first joint of all
         """
-        return saved[ids]
+        return saved
 
     def lost(self, memory: Floats, dt: float) -> float:
         """Fluid that left this rank's joints in the last step, by the memory (j, 2, m) after it [volume per thickness]."""
