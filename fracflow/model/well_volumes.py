@@ -57,7 +57,7 @@ def volumes_after(
     )
     taken = room_between(ops, old, new) / dt if takes_time and scheme.storage else np.zeros(len(source))
     reaction = conduction + taken if takes_time else source
-    by_source = takes_time and not is_multistep and scheme.balance != "step"
+    by_source = takes_time and not is_multistep
     asked = wells.means if takes_time else wells.demanded
     found = _sums(ops, wells, asked, source if by_source else None, reaction)
     stored = dt * wells.depth * float(ops.layout.comm.allreduce(float(taken.sum()), op=MPI.SUM))
