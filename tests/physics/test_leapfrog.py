@@ -204,7 +204,8 @@ Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line(5) 
 Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};
 Curve Loop(2) = {-3, 5, 6, 7}; Plane Surface(2) = {2};
 Physical Surface("soft") = {1}; Physical Surface("stiff") = {2};
-Physical Curve("joint") = {3}; Physical Curve("south") = {1}; Physical Curve("north") = {6}; Physical Curve("east") = {2}; Physical Curve("rest") = {4, 5, 7};
+Physical Curve("joint") = {3}; Physical Curve("south") = {1}; Physical Curve("north") = {6};
+Physical Curve("east") = {2}; Physical Curve("rest") = {4, 5, 7};
 Mesh.MeshSizeMax = 0.5;
 """
 
@@ -212,7 +213,7 @@ Mesh.MeshSizeMax = 0.5;
 @pytest.mark.serial
 @pytest.mark.parametrize("kind", ["rock", "fluid"])
 def test_steps_are_those_of_the_equations(scene, tmp_path, kind):
-    """u_new = u + dt v + dt^2/2 a + S M^-1 (r_new - r), v_new = v + dt (a + a_new)/2, M a = r - K u: by the whole matrices."""
+    """u_new = u + dt v + dt^2/2 a + S M^-1 (r_new - r), v_new = v + dt (a + a_new)/2, M a = r - K u."""
     file, dt = scene, 1e-3
     if kind == "fluid":
         (tmp_path / "blocks.geo").write_text(BLOCKS)

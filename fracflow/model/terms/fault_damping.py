@@ -58,6 +58,8 @@ AUTO = 0.25  # of the critical damping of a cell's fastest vibration
 SUDDEN = 0.45  # the same, where strength falls at once
 QUICK = 1e-3  # of a joint's initial normal traction: the change of pressure in 1/omega of its cells that is at once
 ALIKE = 1e-3  # of ``asymmetry``: less makes no normal traction that counts
+FEW = 20  # joints of a fault: fewer, and damping takes about one part in so many of its slip, a fifth with five joints
+MOST_NAMES = 3  # faults that are named
 LAYERS = 3  # of cells that are damped, counted from the fault by the nodes they share
 
 
@@ -91,8 +93,10 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     if not wanted:
         return None
     joints, rates = can_slip(operators.joints), cell_rates(blocks, scene)
+    damped = joints
     if wanted == "auto":
         uneven, sudden = joints & (asymmetry(blocks, scene) > ALIKE), joints & is_sudden(operators, scene, rates)
+        damped = uneven | sudden
         ratios = np.where(cells_near(blocks, uneven, LAYERS), AUTO, 0.0)
         ratios[cells_near(blocks, sudden, LAYERS)] = SUDDEN
     else:
@@ -112,8 +116,20 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
-    note = f"cells at faults are damped, method.fault_damping = {largest:g}"
+    note = f"cells at faults are damped, method.fault_damping = {largest:g}{_lost(blocks, damped)}"
     return MeanDamping(projected(matrix, operators.expand), scale, largest, note)
+
+
+def _lost(blocks: Blocks, damped: Bools) -> str:
+    """Words for the log on fractures with so few of the damped joints (j,) that they lose slip; empty if none. Collective."""
+    names = blocks.joints.fractures
+    counts = blocks.comm.allreduce(np.bincount(blocks.joints.fracture[damped], minlength=len(names)))
+    few = sorted((int(count), name) for count, name in zip(counts, names, strict=True) if 0 < count < FEW)
+    if not few:
+        return ""
+    told = ", ".join(f"{name} ({count} cells, about {100.0 / count:.2g} %)" for count, name in few[:MOST_NAMES])
+    more = f" and {len(few) - MOST_NAMES} more" if len(few) > MOST_NAMES else ""
+    return f", which takes slip of faults with few cells: {told}{more}; give smaller cells there, or fault_damping = 0"
 
 
 def can_slip(joints: Joints) -> Bools:
