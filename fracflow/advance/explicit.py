@@ -28,7 +28,7 @@ TIMED = 5  # products
 
 
 class ExplicitSteps:
-    """What explicit steps of a model are made of, and the line of their critical time step for the log."""
+    """Parts of the explicit steps of a model, and the line of their critical time step for the log."""
 
     def __init__(self, model: Model, network: FlowNetwork, log: Log) -> None:
         """Make it when a stage first needs it."""

@@ -153,6 +153,7 @@ def brought(
     """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
 
     room  (n,) ``room_between`` both states
+
     Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
     Where fractures have prescribed pressures, wells are counted one by one. Given rates count by their integral. At a kept
     pressure (3.20) is integrated over the step, with outflow at the instants where the balance holds.
@@ -187,7 +188,7 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
 
 
 def stored(ops: Operators, room: Floats, depth: float) -> float:
-    """Volume of fluid that fractures of a ``depth`` take up between two states [length^3]; room as above. Collective."""
+    """Volume of fluid that fractures of a ``depth`` take up [length^3]; room (n,) ``room_between`` states. Collective."""
     return depth * float(ops.layout.comm.allreduce(float(np.sum(room)), op=MPI.SUM))
 
 

@@ -43,6 +43,7 @@ def volumes_after(
     """Volumes at the end of a step, and means over it that a multistep rule needs in the next one. Collective.
 
     room  (n,) ``room_between`` both states
+
     A well with a flow rate brings what enters the balance (3.20) of its node. A well with a pressure brings the reaction:
     outflow into its elements, and what walls and compression take up there. The outflow is that where the balance holds.
     Wells with pressures at one node share alike what flow rates leave of it. A multistep rule makes a rate q at the end of

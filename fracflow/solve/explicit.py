@@ -1,4 +1,4 @@
-"""What all explicit steps of a model share: inverse masses, damping, critical time step, clusters of sections."""
+"""Parts that all explicit steps of a model share: inverse masses, damping, critical time step, clusters of sections."""
 
 from __future__ import annotations
 
