@@ -188,8 +188,7 @@ def fluid_parts(
 ) -> dict[str, float]:
     """Terms of the balance (3.20) times the potential that drives, both as means over the instants where it holds.
 
-    walls  volumes that walls open in the step at the flow nodes, by B and by B_F; velocities are read where the balance holds
-           at both ends or at the end
+    walls  volumes that walls open in the step at the flow nodes, by B and by B_F
 
     The mean pressure of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
     velocities, is counted as the scheme's, ``fluid_scheme``. The resting pressure is a dead load on the walls. Collective.
