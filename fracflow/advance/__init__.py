@@ -4,6 +4,6 @@ A stage makes a ``LoadStep`` for each of its steps, and asks for it, or what is 
 advance takes a state and a request, and gives an ``Outcome``; a way may wrap another one, and hands a shorter request on.
 ``stage.composed`` says which wrap which. Calls go down only:
 
-UpToLimitPoint > Substepped > SplitAtJumps > ErrorControlled > EventLocated or StableSlip > ExplicitSubsteps > SingleStep
+UpToLimitPoint > Substepped > SplitAtJumps > ErrorControlled > EventLocated or StableSlip > SingleStep or ExplicitSubsteps
 > solve.StepProblem
 """

@@ -3,52 +3,65 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from time import process_time
 
 from fracflow._petsc import destroy
-from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.explicit_flow import ExplicitFlow
+from fracflow.advance.network import FlowNetwork
+from fracflow.advance.outcome import Log, Outcome
 from fracflow.integrators import EXPLICIT, Stepper
 from fracflow.integrators.explicit import parts
+from fracflow.model.joints import refuse_jumps
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import note
-from fracflow.solve.explicit import ExplicitCoupling
-from fracflow.solve.leapfrog.nodes import takes
+from fracflow.scene.time_table import Around
+from fracflow.solve.explicit import ExplicitModel
 from fracflow.solve.leapfrog.steps import Leapfrog
 from fracflow.solve.request import StepRequest, on_the_way
+from fracflow.solve.residual import refuse_few, significant_digits
 
 PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
 TIMED = 5  # products
 
 
 class ExplicitSteps:
-    """The explicit coupling of a model, and the line of its critical time step for the log."""
+    """Parts of the explicit steps of a model, and the line of their critical time step for the log."""
 
-    def __init__(self, model: Model, log: Log) -> None:
-        """Make the coupling when a stage first needs it."""
-        self.model, self.log = model, log
-        self._coupling: ExplicitCoupling | None = None
+    def __init__(self, model: Model, network: FlowNetwork, log: Log) -> None:
+        """Make it when a stage first needs it."""
+        self.model, self.network, self.log = model, network, log
+        self._explicit: ExplicitModel | None = None
         self._leapfrog: Leapfrog | None = None
+        self._flow: ExplicitFlow | None = None
 
     @property
-    def coupling(self) -> ExplicitCoupling:
+    def explicit(self) -> ExplicitModel:
         """With its critical time step. Raises InputError, on every rank. Collective."""
-        if self._coupling is None:
-            self._coupling = ExplicitCoupling(self.model.scene, self.model.operators, self.model.loads)
-        return self._coupling
+        if self._explicit is None:
+            self._explicit = ExplicitModel(self.model.scene, self.model.operators, self.model.loads)
+        return self._explicit
 
     @property
-    def leapfrog(self) -> Leapfrog | None:
-        """Steps in one sweep, where the scene is one for them. Raises InputError, on every rank. Collective."""
-        if self._leapfrog is None and takes(self.model.operators):
-            self._leapfrog = Leapfrog(self.coupling, self.model.scene, self.model.loads)
+    def leapfrog(self) -> Leapfrog:
+        """Steps of the rock and of joints. Raises InputError, on every rank. Collective."""
+        if self._leapfrog is None:
+            self._leapfrog = Leapfrog(self.explicit, self.model.scene, self.model.loads)
         return self._leapfrog
+
+    @property
+    def flow(self) -> ExplicitFlow | None:
+        """Those of joints and fluid; None without a fluid. Collective."""
+        if self._flow is None and self.model.operators.flow is not None:
+            self._flow = ExplicitFlow(self.model, self.network, self.explicit.sections)
+        return self._flow
 
     def count(self, dt: float) -> int:
         """Number of equal substeps in a step of length ``dt``. Collective."""
-        return parts(dt, self.coupling.critical)
+        return parts(dt, self.explicit.critical)
 
     def part(self, stepper: Stepper, dt: float) -> float:
         """Length of the substeps in which a rule advances a step of length ``dt``. Collective."""
@@ -61,68 +74,108 @@ class ExplicitSteps:
         """
         if not stepper.explicit:
             return True
-        return math.isinf(self.coupling.critical) and self.model.operators.flow is None
+        return math.isinf(self.explicit.critical) and self.model.operators.flow is None
 
     def log_steps(self, stepper: Stepper, dt: float) -> None:
         """Log how an explicit rule takes steps of length ``dt``. Collective."""
         if not stepper.explicit:
             return
-        count, critical, locates = self.count(dt), self.coupling.critical, self.locates(stepper, dt)
+        count, critical, locates = self.count(dt), self.explicit.critical, self.locates(stepper, dt)
         shown = self.model.scene.time_text
         limit = f"critical time step of the rock {shown(critical)}" if math.isfinite(critical) else "no rock deforms"
         cut = f"; time_step {shown(dt)} is taken in {count} parts of {shown(dt / count)}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
-        damps = "".join(f"; {note}" for note in self.coupling.notes)
+        damps = "".join(f"; {line}" for line in self.explicit.notes)
         self.log(note(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}"))
 
     def destroy(self) -> None:
-        """Free the coupling. Collective."""
-        destroy(self._leapfrog, self._coupling)
+        """Free it. Collective."""
+        destroy(self._flow, self._leapfrog, self._explicit)
 
 
 @dataclass(frozen=True)
 class ExplicitSubsteps:
     """Divides a step into equal substeps no longer than the critical one; the controls change linearly over the step."""
 
-    inner: Advance
     explicit: ExplicitSteps
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """All substeps, one after the other. Raises SolveError, on every rank. Collective."""
-        dt, count = request.length, self.explicit.count(request.length)
-        ahead = dt if request.next_length is None else request.next_length
-        then = ahead / self.explicit.count(ahead) if ahead > 0.0 else 0.0
-        steps = self.explicit.leapfrog
-        made = steps.advance(state, request, count, then) if steps is not None else None
-        if made is not None:
-            return Outcome(*made, request.end)
-        if count == 1:
-            return self.inner.advance(state, request)
-        now, total = state, StepReport()
-        for done in range(1, count + 1):
-            part = replace(
-                request,
-                time=request.time - dt * (count - done) / count,
-                length=dt / count,
-                controls=on_the_way(state.controls, request.controls, 0.0, done / count),
-                next_length=dt / count if done < count else then,
-            )
-            try:
-                found = self.inner.advance(now, part)
-            finally:
-                if now is not state:
-                    now.destroy()
-            now, report = found.state, found.report
-            widest = max(total, report, key=lambda each: each.widening)
-            total = replace(
-                report.after(total),
-                solid_residual=max(total.solid_residual, report.solid_residual),
-                flow_residual=max(total.flow_residual, report.flow_residual),
-                digits=min(total.digits, report.digits),
-                widening=widest.widening,
-                widest=widest.widest,
-            )
-        return Outcome(now, total, request.end)
+        explicit, flow, dt = self.explicit, self.explicit.flow, request.length
+        count, ahead = explicit.count(dt), dt if request.next_length is None else request.next_length
+        then = ahead / explicit.count(ahead) if ahead > 0.0 else 0.0
+        run, total = explicit.leapfrog.run, StepReport()
+        run.begin(state, dt / count)
+        if flow is not None:
+            flow.begin(state)
+        try:
+            for done, part in enumerate(substeps(request, state.controls, count, then), start=1):
+                around = part.length, dt / count if done < count else then
+                total = with_part(total, self._part(part, around, done == count))
+            new = run.end(state if flow is None else flow.now, request, around, {} if flow is None else flow.parts)
+            return Outcome(new, replace(total, digits=self._digits(new)), request.end)
+        finally:
+            if flow is not None:
+                flow.end()
+
+    def _part(self, part: StepRequest, around: Around, is_last: bool) -> StepReport:
+        """One substep, and its cost. Collective."""
+        explicit, flow, run = self.explicit, self.explicit.flow, self.explicit.leapfrog.run
+        blocks, joints = explicit.model.operators.blocks, explicit.model.operators.joints
+        run.predict(part.time, part.controls, around)
+        report, before = StepReport(cycles=1), run.sections
+        if flow is not None:
+            found, report = flow.solve(run.free_strain(), part, around)
+            run.pull(found, flow.pressed())
+            refuse_jumps(blocks, joints, before, run.sections, part.time)
+            grown, where = flow.accept(run.sections)
+            report = replace(report, widening=grown, widest=where)
+        elif blocks.sizes.joints:
+            found, iterations, left = explicit.leapfrog.joints_at_end(run.free_strain(), part)
+            run.pull(found)
+            refuse_jumps(blocks, joints, before, run.sections, part.time)
+            report = replace(report, newton=iterations, solid_residual=left)
+        run.move(part.time, around, is_last)
+        return report
+
+    def _digits(self, new: State) -> float:
+        """Fewest digits of a new state. Raises SolveError, on every rank, and frees it, where they are too few. Collective."""
+        model, flow = self.explicit.model, self.explicit.flow
+        try:
+            if flow is not None:
+                return flow.check(new)
+            found = significant_digits(model.operators, new)
+            refuse_few(found, model.scene.accuracy.digits, new.time)
+            return found.digits
+        except BaseException:
+            self.explicit.leapfrog.run.last = None
+            new.destroy()
+            raise
+
+
+def substeps(request: StepRequest, controls: Mapping[str, float], count: int, then: float) -> Iterator[StepRequest]:
+    """Equal substeps of a step that begins with ``controls``, and that one of length ``then`` follows."""
+    dt = request.length
+    for done in range(1, count + 1):
+        yield replace(
+            request,
+            time=request.time - dt * (count - done) / count,
+            length=dt / count,
+            controls=on_the_way(controls, request.controls, 0.0, done / count),
+            next_length=dt / count if done < count else then,
+        )
+
+
+def with_part(total: StepReport, part: StepReport) -> StepReport:
+    """The report of substeps so far and of one more."""
+    widest = max(total, part, key=lambda each: each.widening)
+    return replace(
+        part.after(total),
+        solid_residual=max(total.solid_residual, part.solid_residual),
+        flow_residual=max(total.flow_residual, part.flow_residual),
+        widening=widest.widening,
+        widest=widest.widest,
+    )
 
 
 @dataclass(frozen=True)
@@ -142,7 +195,7 @@ class ExplicitCost:
 
 
 def explicit_cost(model: Model) -> ExplicitCost | None:
-    """The cost of the explicit steps; None where no stage has any. Raises InputError as ``ExplicitCoupling``. Collective."""
+    """The cost of the explicit steps; None where no stage has any. Raises InputError as ``ExplicitModel``. Collective."""
     scene, start, planned, events = model.scene, 0.0, [], False
     if scene.method.stepper not in EXPLICIT:
         return None
@@ -153,9 +206,9 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
             planned.append((count, stage.time_step))
     if not planned and not events:
         return None
-    coupling = ExplicitCoupling(scene, model.operators, model.loads)
-    critical = coupling.critical
-    coupling.destroy()
+    explicit = ExplicitModel(scene, model.operators, model.loads)
+    critical = explicit.critical
+    explicit.destroy()
     cuts = [(count, dt, parts(dt, critical)) for count, dt in planned]
     ways = [f" in {n} parts of {scene.time_text(dt / n, 4)}" if n > 1 else "" for _, dt, n in cuts]
     words = [f"{count} steps of {scene.time_text(dt, 4)}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]

@@ -33,8 +33,8 @@ class Outcome:
 class Advance(Protocol):
     """A way from one state to the next: a single step, or a wrapper of another way.
 
-    ``Substepped``, ``SplitAtJumps``, ``ErrorControlled``, ``StableSlip``, ``EventLocated`` and ``ExplicitSubsteps`` wrap one,
-    down to the ``SingleStep``. A stage puts together the ones that it needs.
+    ``Substepped``, ``SplitAtJumps``, ``ErrorControlled``, ``StableSlip`` and ``EventLocated`` wrap one, down to the
+    ``SingleStep`` or ``ExplicitSubsteps``. A stage puts together the ones that it needs.
     """
 
     def advance(self, state: State, request: StepRequest) -> Outcome:

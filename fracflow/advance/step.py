@@ -6,18 +6,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from fracflow._petsc import destroy, timed
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.wells import one_changed, reached_after, reached_before, refuse_cycle, through, well_step
+from fracflow.advance.wells import (
+    TRIES_A_LIMIT,
+    most_tries,
+    names_of,
+    one_changed,
+    reached_after,
+    reached_before,
+    refuse_cycle,
+    refuse_outlets,
+    through,
+    well_step,
+)
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas, Steady, Stepper, first, stepper_from
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools
-from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
+from fracflow.model.compressibility import brought, leaked, narrowing, room_between, stored, widening
 from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import refuse_jumps
@@ -29,15 +42,12 @@ from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
-from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import Guess, StepProblem, Work
 from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
-MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
-TRIES_A_LIMIT = 6  # as many more for each limit: at its flow_rate, kept at the limit, shut, and back
 DONE: Progress = {"done": 1.0}
 
 
@@ -88,7 +98,7 @@ class Stepping:
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
-        self.explicit = ExplicitSteps(model, log)
+        self.explicit = ExplicitSteps(model, self.network, log)
         self.counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
 
     def closed(self, loads: Loads, stores: bool) -> Loads:
@@ -101,8 +111,7 @@ class Stepping:
 
     def by(self, stepper: Stepper) -> Advance:
         """The way to advance by one step of a rule."""
-        single = SingleStep(self, stepper)
-        return ExplicitSubsteps(single, self.explicit) if stepper.explicit else single
+        return ExplicitSubsteps(self.explicit) if stepper.explicit else SingleStep(self, stepper)
 
     def step(self, state: State, request: StepRequest, stepper: Stepper) -> tuple[State, StepReport]:
         """One step by a rule, and what it cost. Raises SolveError, on every rank. Collective."""
@@ -135,7 +144,7 @@ class Stepping:
         new = replace(new, volumes=volumes_at_jump(ops, loads, state, new, depth))
         if not self.counts_volume:
             return new
-        jumped = stored(ops, state, new, depth)
+        jumped = stored(ops, room_between(ops, state, new), depth)
         return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
 
     def _with_limits(self, new: State, loads: Loads, state: State, stepper: Stepper, dt: float) -> tuple[State, Loads]:
@@ -154,7 +163,7 @@ class Stepping:
             tried.add(reached)
             new.destroy()
             loads = self.limited(model.loads, reached)
-            new = replace(enter(model, self.network, loads, state, stepper, dt), **_names(reached))
+            new = replace(enter(model, self.network, loads, state, stepper, dt), **names_of(reached))
         return new, loads
 
     def change(self, state: State, leaving: Bools) -> State:
@@ -235,13 +244,12 @@ class SingleStep:
             network.update(state)
         trial: Guess | None = None
         failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
-        for _ in range(MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)):
+        for _ in range(most_tries(loads)):
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
-            problem = (ExplicitProblem if stepper.explicit else StepProblem)(ops, state, asked, rule, trial)
+            problem = StepProblem(ops, state, asked, rule, trial)
             try:
-                coupling = solvers.explicit.coupling if stepper.explicit else solvers.couplings.of(asked.loads)
-                report = coupling.solve(problem)
+                report = solvers.couplings.of(asked.loads).solve(problem)
                 new = accept(problem, state.energy)
                 digits, is_same, full = self._checked(problem, new, limited, stepper.storage)
                 trial = None if is_same else problem.initial_guess()
@@ -270,12 +278,7 @@ class SingleStep:
             tried.add(reached)
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
-        raise NotConverged(
-            f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes the outlets: take a"
-            f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
-            spent,
-            kind="outlets",
-        )
+        refuse_outlets(request.time, spent, failed)
 
     def _checked(
         self, problem: StepProblem, new: State, loads: Loads, stores: bool
@@ -307,12 +310,13 @@ class SingleStep:
         """Members of a solved state that go on from step to step: energies, volumes, dissipation, and the step itself."""
         model, state, rule, dt = self.solvers.model, problem.state, problem.rule, request.length
         ops, loads, depth = model.operators, request.loads, model.scene.flow_depth
-        weighs = rule.alphas if rule.inertia and not stepper.explicit else None
+        weighs = rule.alphas if rule.inertia else None
         scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
         memory, follows = PreviousStep(), self.stepper.memory
         means = through(request, rule, reached, state, new, depth) if follows else {}
         wells = well_step(request, rule, means, state.time, stepper.storage, depth)
-        volumes, kept = volumes_after(ops, wells, state, new, dt, scheme)
+        room = room_between(ops, state, new) if ops.flow is not None else np.zeros(0)
+        volumes, kept = volumes_after(ops, wells, state, new, room, dt, scheme)
         if follows:
             memory = remember(ops, state, new, dt, {**kept, **means})
         lost = leaked(ops, state, new, dt, scheme, depth) if ops.flow is not None else {}
@@ -320,17 +324,11 @@ class SingleStep:
         sent = ops.joints.radiated(state.sections, new.sections, LawStep(new.time, dt, rule.inertia))
         return {
             "energy": update_balance(ops, state, new, dt, scheme),
-            **_names(reached),
+            **names_of(reached),
             "friction": state.friction + dissipated(state.sections, new.sections) - sent,
-            "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
+            "injected": state.injected + (brought(ops, loads, state, new, room, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
             "volumes": volumes,
             "previous_step": memory,
             "adjacent_steps": rule.adjacent,
         }
-
-
-def _names(reached: frozenset[Limit]) -> dict[str, Any]:
-    """Members of a state whose wells are kept at limits, or shut by them."""
-    kept, shut = (tuple(sorted(limit.well for limit in reached if limit.is_shut == each)) for each in (False, True))
-    return {"wells_at_limit": kept, "wells_shut": shut}

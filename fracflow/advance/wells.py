@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import NotConverged
@@ -21,9 +21,11 @@ from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import State
 from fracflow.model.well_volumes import WellStep
 from fracflow.scene.time_table import Rates
-from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.sections import SectionProblem
 
+MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
+TRIES_A_LIMIT = 6  # as many more for each limit: at its flow_rate, kept at the limit, shut, and back
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
 
 
@@ -38,7 +40,7 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
 
 
 def reached_after(
-    problem: StepProblem, request: StepRequest, reached: frozenset[Limit], trial: State, depth: float
+    problem: SectionProblem, request: StepRequest, reached: frozenset[Limit], trial: State, depth: float
 ) -> frozenset[Limit]:
     """Limits at which wells have to be kept, or shut, once a trial of a step is known. Collective.
 
@@ -127,6 +129,27 @@ def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoRetur
         " move their limits apart, or take a smaller time_step",
         newton,
         kind="wells",
+    )
+
+
+def most_tries(loads: Loads) -> int:
+    """How often a step is solved at most, until its wells and its network are those of its end."""
+    return MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)
+
+
+def names_of(reached: frozenset[Limit]) -> dict[str, Any]:
+    """Members of a state whose wells are kept at limits, or shut by them."""
+    kept, shut = (tuple(sorted(limit.well for limit in reached if limit.is_shut == each)) for each in (False, True))
+    return {"wells_at_limit": kept, "wells_shut": shut}
+
+
+def refuse_outlets(time: float, newton: int, last: Exception | None) -> NoReturn:
+    """Raise NotConverged where outlets keep changing, after so many iterations; ``last`` error of a try, if it had one."""
+    raise NotConverged(
+        f"time {time:.6g}: elements keep pinching shut and opening again, which changes the outlets: take a"
+        f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {last})' if last else ''}",
+        newton,
+        kind="outlets",
     )
 
 

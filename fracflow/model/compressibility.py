@@ -147,8 +147,12 @@ def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
     )
 
 
-def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, scheme: Scheme, depth: float) -> float:
+def brought(
+    ops: Operators, loads: Loads, old: State, new: State, room: Floats, dt: float, scheme: Scheme, depth: float
+) -> float:
     """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
+
+    room  (n,) ``room_between`` both states
 
     Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
     Where fractures have prescribed pressures, wells are counted one by one. Given rates count by their integral. At a kept
@@ -158,13 +162,13 @@ def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, sch
         return 0.0
     if all(part.well for part in loads.pressures):
         lost = sum(leaked(ops, old, new, dt, scheme, depth).values())
-        return (stored(ops, old, new, depth) if scheme.storage else 0.0) + lost
+        return (stored(ops, room, depth) if scheme.storage else 0.0) + lost
     given = loads.integral(old.time, new.time, new.controls)
     kept = [part for part in loads.pressures if part.well]
     instants = (new,) if scheme.balance == "end" else (old, new)
     volume = sum(dt / len(instants) * state.forces.conduction.getArray(readonly=True) for state in instants)
     if scheme.storage:
-        volume = volume + room_between(ops, old, new)
+        volume = volume + room
     here = sum(float(np.sum(volume[part.numbers])) for part in kept)
     return given + depth * float(ops.layout.comm.allreduce(here, op=MPI.SUM))
 
@@ -183,9 +187,9 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
     return found
 
 
-def stored(ops: Operators, old: State, new: State, depth: float) -> float:
-    """Volume of fluid that fractures of a ``depth`` take up between two states [length^3]. Collective."""
-    return depth * float(ops.layout.comm.allreduce(float(np.sum(room_between(ops, old, new))), op=MPI.SUM))
+def stored(ops: Operators, room: Floats, depth: float) -> float:
+    """Volume of fluid that fractures of a ``depth`` take up [length^3]; room (n,) ``room_between`` states. Collective."""
+    return depth * float(ops.layout.comm.allreduce(float(np.sum(room)), op=MPI.SUM))
 
 
 def room_between(ops: Operators, old: State, new: State) -> Floats:

@@ -42,7 +42,6 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     """
     ops = operators
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
-    mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
     sent = ops.joints.radiated(old.sections, new.sections, LawStep(new.time, dt, scheme.inertia))
@@ -57,12 +56,13 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     outer = [force for state in (old, new) for force in (state.forces.load, state.forces.support)]
     parts["work_boundaries"] += 0.5 * sum(force.dot(change) for force in outer)
     if ops.flow is not None:
-        instants = (new,) if scheme.balance == "end" else (old, new)
-        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme)
-        if ops.flow.compressibility > 0.0:
-            _add_compression(ops, parts, old, new, scheme.storage)
-        parts["scheme"] += parts.pop("fluid_scheme", 0.0)
-    destroy(change, mean_pressure, mean_displacement, term)
+        pushed, swept = new.pressure.duplicate(), new.pressure.duplicate()
+        ops.flow.pressure_load.multTranspose(change, pushed)
+        ops.flow.storage_coupling.multTranspose(change, swept)
+        parts |= fluid_parts(ops, old, new, (pushed, swept), dt, scheme)
+        parts["scheme"] += parts.pop("fluid_scheme")
+        destroy(pushed, swept)
+    destroy(change, mean_displacement, term)
     return added(old.energy, parts)
 
 
@@ -102,14 +102,22 @@ def compressed(ops: Operators, old: State, new: State) -> float:
 
     Pressures p above those at rest; s is what the fracture of aperture d holds. Collective.
     """
-    room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
+    room = new.pressure.duplicate()
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
     ops.network.storage_coupling.multTranspose(change, room)
+    work = _compressed_beside(ops, old, new, room)
+    destroy(room, change)
+    return work
+
+
+def _compressed_beside(ops: Operators, old: State, new: State, room: PETSc.Vec) -> float:
+    """The same, where walls open ``room`` at the flow nodes."""
+    taken = taken_between(ops, old, new)
     mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
     driving.axpy(-1.0, ops.network.resting)
     driving.aypx(-1.0, mean)
     work = float(mean.dot(taken)) + float(driving.dot(room))
-    destroy(room, taken, change, mean, driving)
+    destroy(taken, mean, driving)
     return work
 
 
@@ -175,28 +183,27 @@ def joint_parts(work: Floats) -> dict[str, float]:
     return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
 
 
-def _fluid_parts(
-    ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, scheme: Scheme
+def fluid_parts(
+    ops: Operators, old: State, new: State, walls: tuple[PETSc.Vec, PETSc.Vec], dt: float, scheme: Scheme
 ) -> dict[str, float]:
-    """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
+    """Terms of the balance (3.20) times the potential that drives, both as means over the instants where it holds.
 
-    The mean ``pressure`` of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
-    velocities, is counted as the scheme's. The resting pressure is a dead load on the walls.
+    walls  volumes that walls open in the step at the flow nodes, by B and by B_F
+
+    The mean pressure of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
+    velocities, is counted as the scheme's, ``fluid_scheme``. The resting pressure is a dead load on the walls. Collective.
     """
-    network, rate, share = ops.network, pressure.duplicate(), dt / len(instants)
+    network, instants = ops.network, (new,) if scheme.balance == "end" else (old, new)
+    pressure, share = _sum(0.5, new.pressure, 0.5, old.pressure), dt / len(instants)
     driving = _sum(1.0, pressure, -1.0, network.resting)
     balanced = _potential(ops, instants)
-
-    def volume(matrix: PETSc.Mat, motion: PETSc.Vec, at: PETSc.Vec) -> float:
-        matrix.multTranspose(motion, rate)
-        return float(rate.dot(at))
-
-    pushed = volume(network.pressure_load, change, driving)
-    resting = float(rate.dot(network.resting))
+    push, sweep = walls
+    pushed = float(push.dot(driving))
     parts = {
         "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
         "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
-        "work_pressure": resting,
+        "work_pressure": float(push.dot(network.resting)),
+        "fluid_scheme": 0.0,
     }
     for term in network.terms:
         rates = [rate_by(ops, term, state) for state in instants]
@@ -205,27 +212,31 @@ def _fluid_parts(
         parts |= term.energy(lost, 0.0)
         destroy(*rates)
     if scheme.storage:
-        swept = volume(network.storage_coupling, change, driving)
+        swept = float(sweep.dot(driving))
         parts["spurious"] = swept - pushed
         if scheme.balance == "step":  # of the volume that the walls open
-            stored = volume(network.storage_coupling, change, balanced)
+            stored = float(sweep.dot(balanced))
         else:
-            stored = share * sum(volume(network.storage_coupling, s.motion.velocity, balanced) for s in instants)
+            stored = share * sum(_volume_rate(ops, state, balanced) for state in instants)
         stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:
         parts["work_pressure"] += pushed
-    destroy(rate, driving, balanced)
+    if network.compressibility > 0.0:
+        # without storage no fluid is drawn for it, and its work is outer as that on the walls
+        parts["fluid_storage"] = _compressed_beside(ops, old, new, sweep)
+        if scheme.storage:
+            parts["fluid_scheme"] -= parts["fluid_storage"]
+        else:
+            parts["work_pressure"] += parts["fluid_storage"]
+    destroy(pressure, driving, balanced)
     return parts
 
 
-def _add_compression(ops: Operators, parts: dict[str, float], old: State, new: State, storage: bool) -> None:
-    """Add the energy stored by compression; the difference from its term in (3.20), as above, is the scheme's.
-
-    Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
-    """
-    parts["fluid_storage"] = compressed(ops, old, new)
-    if storage:
-        parts["fluid_scheme"] -= parts["fluid_storage"]
-    else:
-        parts["work_pressure"] += parts["fluid_storage"]
+def _volume_rate(ops: Operators, state: State, balanced: PETSc.Vec) -> float:
+    """B_F' v times a potential at the flow nodes. Collective."""
+    rate = state.pressure.duplicate()
+    ops.network.storage_coupling.multTranspose(state.motion.velocity, rate)
+    found = float(rate.dot(balanced))
+    rate.destroy()
+    return found

@@ -38,9 +38,11 @@ class WellStep:
 
 
 def volumes_after(
-    ops: Operators, wells: WellStep, old: State, new: State, dt: float, scheme: Scheme
+    ops: Operators, wells: WellStep, old: State, new: State, room: Floats, dt: float, scheme: Scheme
 ) -> tuple[FluidVolumes, dict[str, float]]:
     """Volumes at the end of a step, and means over it that a multistep rule needs in the next one. Collective.
+
+    room  (n,) ``room_between`` both states
 
     A well with a flow rate brings what enters the balance (3.20) of its node. A well with a pressure brings the reaction:
     outflow into its elements, and what walls and compression take up there. The outflow is that where the balance holds.
@@ -55,9 +57,9 @@ def volumes_after(
         sum(getattr(state.forces, name).getArray(readonly=True) for state in instants) / len(instants)
         for name in ("source", "conduction")
     )
-    taken = room_between(ops, old, new) / dt if takes_time and scheme.storage else np.zeros(len(source))
+    taken = room / dt if takes_time and scheme.storage else np.zeros(len(source))
     reaction = conduction + taken if takes_time else source
-    by_source = takes_time and not is_multistep and scheme.balance != "step"
+    by_source = takes_time and not is_multistep
     asked = wells.means if takes_time else wells.demanded
     found = _sums(ops, wells, asked, source if by_source else None, reaction)
     stored = dt * wells.depth * float(ops.layout.comm.allreduce(float(taken.sum()), op=MPI.SUM))

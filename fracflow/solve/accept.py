@@ -17,6 +17,7 @@ from fracflow.solve.flow_round_off import flow_power
 from fracflow.solve.newton import NewtonReport
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import Residual
+from fracflow.solve.sections import SectionProblem
 
 
 def start_again(problem: StepProblem) -> None:
@@ -58,7 +59,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
 
 
-def memories_after(problem: StepProblem) -> dict[str, Floats]:
+def memories_after(problem: SectionProblem) -> dict[str, Floats]:
     """Memories (j, 2, m) of terms at the end of the step. Collective."""
     network, memory = problem.operators.flow, problem.state.memory
     if network is None or not memory:

@@ -136,7 +136,7 @@ NEARLY = 10.0  # times the required accuracy, where flow is small: a solve for a
 class CondensedFlow(FlowOnJoints):
     """Fracture flow of an implicit step: its balance holds at the end of the step."""
 
-    def given(self, problem: StepProblem) -> PETSc.Vec:
+    def given(self, problem: StepProblem) -> PETSc.Vec:  # type: ignore[override]  # never that of an explicit step
         """Sources less the flow that walls displace at their present velocity, in a new vector. Collective."""
         network, speed, result = self.operators.flow, problem.velocity(), problem.source.copy()
         assert network is not None

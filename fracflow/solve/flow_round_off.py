@@ -21,8 +21,8 @@ from fracflow.model.network_parts import conducting, find_components
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.scene.values import TimeTable
-from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import MOST_DIGITS, refuse_few, round_off_of_pressure, significant_digits
+from fracflow.solve.sections import SectionProblem
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
 INSIDE = 3.0  # times the round-off at a well: nodes further along a wide fracture have as much
@@ -127,7 +127,7 @@ def refuse_few_of_flow(found: SignificantDigitsOfFlow, limit: int, time: float) 
     )
 
 
-def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
+def check_digits(problem: SectionProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
     """Fewest significant digits of tractions in the state of a solved problem.
 
     Raises SolveError, on every rank, where fewer than ``limit`` are left, and frees the state. So it does for the flow in a

@@ -10,22 +10,80 @@ condensed steps have another right side.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged
+from fracflow.integrators import Alphas
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
+from fracflow.model.flow import Compression, Conduction
 from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
+from fracflow.model.state import SectionHistory, Sections, State
+from fracflow.model.terms.term import TermStep
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.failure import fractures_of
 from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import MOST_CHANGES
-from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import TINY, largest, over_ranks
+
+
+class SectionProblem(Protocol):
+    """A step of sections and fluid, meanings as in ``StepProblem``: what is given, and the trial."""
+
+    state: State
+    request: StepRequest
+    rule: StepRule
+    loads: Loads
+    alphas: Alphas
+    time: float
+    source: PETSc.Vec
+    displacement: PETSc.Vec
+    pressure: PETSc.Vec
+    flow_balance: PETSc.Vec
+    sections: Sections
+    trial_status: SectionHistory
+    conduction: Conduction | None
+    fluid_before: Compression | None
+    taken_up: Floats | None
+    operators: Operators
+
+    def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
+        """(2.10b) Response of the sections to strains (s, dim)."""
+        ...
+
+    def law_step(self, hold: bool = True) -> LawStep:
+        """The step as laws see it."""
+        ...
+
+    def term_step(self) -> TermStep:
+        """The same for terms with a memory."""
+        ...
+
+    def change_statuses(self) -> np.ndarray:
+        """Give every section that has left its status the next one; return which (s,) of this rank did."""
+        ...
+
+    def undetermined(self, nodes: Ints) -> float:
+        """Part of what nodes (n,) of this rank draw that is not known [volume rate per thickness]."""
+        ...
+
+
+def given_before(problem: SectionProblem) -> PETSc.Vec:
+    """Q_new + Q - K_F p - x' of the trapezoidal rule, in a new vector. Collective."""
+    state, result = problem.state, problem.source.copy()
+    result.axpy(1.0, state.forces.source)
+    result.axpy(-1.0, state.forces.conduction)
+    if state.uptake is not None:
+        result.axpy(-1.0, state.uptake)
+    return result
 
 
 class FlowOnJoints:
@@ -47,16 +105,11 @@ class FlowOnJoints:
         self.nodes: Ints = clusters.exchange.there(numbers).astype(np.int64)
         self.fills = 0
 
-    def given(self, problem: StepProblem) -> PETSc.Vec:
+    def given(self, problem: SectionProblem) -> PETSc.Vec:
         """Terms of the balance that are known before the step is solved, in a new vector. Collective."""
-        state, result = problem.state, problem.source.copy()
-        result.axpy(1.0, state.forces.source)
-        result.axpy(-1.0, state.forces.conduction)
-        if state.uptake is not None:
-            result.axpy(-1.0, state.uptake)
-        return result
+        return given_before(problem)
 
-    def balance(self, problem: StepProblem, change: Floats, given: PETSc.Vec) -> tuple[float, Floats]:
+    def balance(self, problem: SectionProblem, change: Floats, given: PETSc.Vec) -> tuple[float, Floats]:
         """Evaluate ``problem.flow_balance`` where sections have moved by ``change`` (s, dim) in the step.
 
         Gives its residual over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
@@ -85,7 +138,7 @@ class FlowOnJoints:
 
     def solve(
         self,
-        problem: StepProblem,
+        problem: SectionProblem,
         answers: list[Floats],
         weights: Floats,
         slopes: Floats,
@@ -185,7 +238,7 @@ class SectionSolver:
             result[:, -1] -= network.at_ends(pressure).ravel()
         return result
 
-    def pressure_change(self, problem: StepProblem, change: Floats) -> Floats:
+    def pressure_change(self, problem: SectionProblem, change: Floats) -> Floats:
         """Change (s, dim) of total tractions, beyond elastic moduli, of sections moved by ``change`` [stress]. Collective."""
         before = self.total_traction(problem.state.sections.traction, problem.state.pressure)
         now = self.total_traction(problem.sections.traction, problem.pressure)
@@ -193,7 +246,7 @@ class SectionSolver:
 
     @timed("FracSections")
     def solve(
-        self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
+        self, problem: SectionProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
         """Bring sections and pressures of ``problem`` into balance, from the free motion (s, dim) of sections.
 
@@ -224,7 +277,7 @@ class SectionSolver:
 
     def _with_statuses(
         self,
-        problem: StepProblem,
+        problem: SectionProblem,
         free: Floats,
         change: Floats,
         pulled: Floats,
@@ -284,7 +337,7 @@ class SectionSolver:
             size[at] += share * (widest @ known[at].reshape(column)).reshape(shape)
         return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
 
-    def _step(self, problem: StepProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
+    def _step(self, problem: SectionProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
         """Newton's correction (s, dim) of the motion of sections; that of the pressures is applied here. Collective."""
         dim, exchange = rows.left.shape[1], self.clusters.exchange
         alone, by_pressure = np.zeros_like(rows.left), []

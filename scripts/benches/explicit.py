@@ -22,14 +22,42 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from explicit_kernels import scene_of
 from size import machine
 
 UNKNOWNS, CELLS = (1e5, 4e5, 1e6), ("triangles", "quads")
 AREA = 40e3 * 24e3  # of the scene [m^2]
 CACHED = 1e4  # unknowns whose values stay in the fastest memory
 ASKED = 3e7  # unknown-steps per CPU second
+EDGES = ((6.0, 70.0), (9.0, 78.0), (13.5, 70.0), (16.5, 81.6), (21.0, 70.0), (24.0, 62.0), (30.0, 70.0))
+"""(km, MPa): up to where along the fault the shear stress is so much."""
 FIRST = 2  # states on record that do not count
+
+
+def scene_of(size: float, steps: int) -> dict[str, Any]:
+    """A fault of 30 km in the middle of 40 km by 24 km, which ruptures from a patch at its centre."""
+    start, along, value = 0.0, [], []
+    for end, stress in EDGES:
+        along += [start * 1e3 + (2e-3 if start else 0.0), end * 1e3]
+        value += [stress * 1e6] * 2
+        start = end
+    fault = {
+        "law": "slip-weakening", "normal_stiffness": 1e12, "shear_stiffness": 1e12, "aperture": 1.0,
+        "friction_coefficient": 0.677, "dynamic_friction_coefficient": 0.525, "slip_weakening_distance": 0.4,
+        "initial_shear_traction": {"along": along, "value": value},
+    }  # fmt: skip
+    return {
+        "geometry": {
+            "domain": [-20e3, -12e3, 20e3, 12e3], "size": size, "size_at_fractures": size, "growth": 0.3,
+            "fracture": [{"name": "main", "points": [[-15e3, 0.0], [15e3, 0.0]]}],
+        },
+        "rock": {"rock": {"youngs_modulus": 80.0986e9, "poissons_ratio": 0.2500222, "density": 2670.0}},
+        "initial_stress": {"xx": -120e6, "yy": -120e6, "xy": 70e6, "unbalanced": "carried"},
+        "fracture": {"main": fault},
+        "absorbing": [{"on": ["west", "east", "south", "north"]}],
+        "method": {"stepper": "explicit"},
+        "output": {"pictures": False},
+        "stage": [{"kind": "dynamic", "time_step": 2e-3 * size / 74.0, "steps": steps}],
+    }  # fmt: skip
 
 
 def size_of(unknowns: float, cells: str) -> float:
@@ -66,7 +94,7 @@ def sweep(model: Any) -> tuple[float, float]:
     """CPU seconds of a sweep through a rock, and its bytes an unknown."""
     from fracflow.solve.leapfrog.rock import Cells, rock_of
 
-    rock, count = rock_of(model.operators, model.scene, None), model.operators.layout.solid_count
+    rock, count = rock_of(model.operators, model.scene, None, plain=True), model.operators.layout.solid_count
     rock.hold(np.zeros(count, dtype=bool), np.full(count, 1e9))
     seconds = best(lambda: rock.step(1e-6, 1e-6), max(3, int(2e6 / count)))
     moved = 8 * (2 + 2 + 2 + 1 + 0.5 + 1)  # u, v and f there and back, e, w, x
@@ -103,15 +131,15 @@ def whole(data: dict[str, Any], step: float, parts: int, states: int, folder: Pa
 def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
     """All numbers of one rock."""
     from fracflow._petsc import MPI
-    from fracflow.solve.explicit import ExplicitCoupling
+    from fracflow.solve.explicit import ExplicitModel
 
     data, model = prepared(unknowns, cells)
     count = int(model.operators.layout.solid_starts[-1])
     sections = 2 * model.operators.blocks.sizes.joints
     alone, size = sweep(model)
-    coupling = ExplicitCoupling(model.scene, model.operators, model.loads)
-    critical = coupling.critical
-    coupling.destroy()
+    explicit = ExplicitModel(model.scene, model.operators, model.loads)
+    critical = explicit.critical
+    explicit.destroy()
     del model
     small = prepared(CACHED, cells)[1]
     cached = sweep(small)[0] / small.operators.layout.solid_count

@@ -1,10 +1,10 @@
-"""`scripts/bench sliding` and `explicit_kernels` in small: they reach into the program, and must move with it."""
+"""`scripts/bench sliding` and `explicit` in small: they reach into the program, and must move with it."""
 
 from __future__ import annotations
 
 import shutil
 
-import explicit_kernels
+import explicit
 import pytest
 import sliding
 
@@ -30,12 +30,8 @@ def test_sliding_network(tmp_path):
     assert len(sliding.missed([direct, worse], [])) == 2
 
 
-def test_explicit_steps_and_kernels(tmp_path):
-    """The kernels of C are held against each other where there is a compiler."""
-    found = explicit_kernels.kernels(2500.0)
-    in_c = [name for name in found["ms"] if name.startswith("C, ")]
-    assert len(in_c) == (3 if shutil.which("cc") or shutil.which("gcc") else 0)
-    assert len(found["ms"]) == 6 + len(in_c) and all(each >= 0.0 for each in found["ms"].values())
-    steps = explicit_kernels.run_steps(2500.0, 6, tmp_path / "run")
-    assert steps["steps"] == 3 and steps["parts_ms"].keys() == {"K u and joint forces", "joints", "coupling"}
-    assert sum(steps["parts_ms"].values()) < 2.0 * steps["parts_ms"]["coupling"] < 2.0 * steps["step_ms"]
+def test_explicit_steps(tmp_path):
+    """Sweeps are loops of C where there is a compiler; a step has a sweep in it."""
+    found = explicit.measure(1000.0, "triangles", 2, 4, tmp_path / "run")
+    assert bool(found["bound_by_memory"] < float("inf")) == bool(shutil.which("cc") or shutil.which("gcc"))
+    assert found["unknowns"] > 500 and found["sections"] > 0 and 0.0 < found["sweep_ms"] < found["step_ms"]

@@ -1,5 +1,7 @@
 """Damping of the cells at faults in explicit steps: what it cures, where it acts, what it costs, what stays as it was."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -8,7 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.cli.app import app
 from fracflow.integrators.explicit import damped_rate
 from fracflow.model.mass import cell_rates
-from fracflow.model.terms.fault_damping import asymmetry, damping_at_faults, is_sudden
+from fracflow.model.terms.fault_damping import asymmetry, damping_at_faults, is_sudden, words_on_few_cells
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
@@ -337,3 +339,13 @@ def test_pressures_that_jump_as_waves_begin_are_told(tmp_path, over, override, w
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     lines = advice(load(tmp_path / "scene.toml", [override]))
     assert any("in the first instant" in line for line in lines) == warns
+
+
+@pytest.mark.serial
+def test_faults_with_few_cells_are_told():
+    """The part of slip that damping takes falls as the square of the cells along a fault."""
+    joints = SimpleNamespace(fracture=np.repeat([0, 1, 2], [5, 20, 10]), fractures=("short", "long", "half"))
+    blocks, all_of_them = SimpleNamespace(comm=MPI.COMM_SELF, joints=joints), np.ones(35, dtype=bool)
+    told = words_on_few_cells(blocks, all_of_them)
+    assert "short (5 cells, about 24 %), half (10 cells, about 6 %);" in told and "long (" not in told
+    assert words_on_few_cells(blocks, joints.fracture == 1) == ""

@@ -19,6 +19,9 @@ from .test_wells import PUMPED, RESISTANCE
 LENGTH = float(np.linalg.norm(END - START))
 PER_LENGTH = (1e-3) ** 3 / (12 * 1e-3)  # d^3 / 12 mu
 RATED = CRACK.replace('pressure = "initial"', "flow_rate = [[0, 0], [2e-4, 2e-4], [6e-4, 1e-4]]")
+PUMPING = 'flow_rate = 2e-4\ncontrol = "pumping"\n[control.pumping]\ninitial = 1.0'
+RAMPED = CRACK.replace('pressure = "initial"', PUMPING)
+RAMP = 'control = "pumping"\nincrement_per_step = 0.2\n'
 assert 'aperture = "1 mm"' in JOINT
 
 
@@ -62,6 +65,8 @@ TWINS = CRACK + '[[well]]\nname = "twin"\nat = [0, 1]\npressure = 2e6\n'  # at t
         (RATED, QUASI, ["method.flow_integrator=trapezoid"]),
         (CRACK, QUASI + DYNAMIC + QUASI, ["method.flow_integrator=bdf2"]),
         (RATED, STEADY + DYNAMIC, [THIN, "stage.0.time_step=1e-4"]),
+        (RAMPED, STEADY + DYNAMIC + RAMP, ["method.stepper=explicit"]),
+        (RAMPED, STEADY + DYNAMIC + RAMP, ["method.stepper=explicit", THIN, "stage.0.time_step=1e-4"]),
     ],
 )
 def test_the_volumes_of_all_wells_are_what_the_network_stores(run_scene, scene, stages, settings):

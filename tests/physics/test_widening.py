@@ -1,15 +1,13 @@
 """A narrow fracture that widens by what flows through it: a long step may be at a solution far from the true one."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.explicit import ExplicitSubsteps
+from fracflow.advance.explicit import with_part
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
-from fracflow.advance.outcome import Outcome
 from fracflow.advance.step import Step
 from fracflow.model.state import StepReport
 from fracflow.output import read_history
@@ -18,7 +16,6 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
-from fracflow.solve.request import StepRequest
 
 from .test_books import CRACK
 
@@ -78,13 +75,7 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
 
 
 def test_equal_parts_of_a_step_keep_the_most():
-    state, factors = SimpleNamespace(controls={}, destroy=lambda: None), iter((1.1, 3.0, 1.2))
-
-    def part(before, request):
-        grown = next(factors)
-        made = SimpleNamespace(controls={}, destroy=lambda: None)
-        return Outcome(made, StepReport(widening=grown, widest=f"part {grown}"))
-
-    explicit, inner = SimpleNamespace(count=lambda length: 3, leapfrog=None), SimpleNamespace(advance=part)
-    report = ExplicitSubsteps(inner, explicit).advance(state, StepRequest(1.0, 1.0, {}, None, next_length=0.0)).report
-    assert (report.widening, report.widest) == (3.0, "part 3.0")
+    total = StepReport()
+    for grown in (1.1, 3.0, 1.2):
+        total = with_part(total, StepReport(newton=2, widening=grown, widest=f"part {grown}"))
+    assert (total.widening, total.widest, total.newton) == (3.0, "part 3.0", 6)

@@ -1,1 +1,1 @@
-"""Explicit steps of rock without a fluid, each in one sweep through memory; see ``steps.Leapfrog``."""
+"""Explicit steps of rock and joints, each in one sweep through memory; see ``steps.Leapfrog``."""

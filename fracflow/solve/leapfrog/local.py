@@ -9,8 +9,10 @@ import numpy as np
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.graph import components
 from fracflow.model.layout import Layout
 from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
 
@@ -62,26 +64,66 @@ def touched(matrix: PETSc.Mat) -> Ints:
     return found
 
 
-def at_nodes(matrix: PETSc.Mat, nodes: Ints) -> Floats | None:
-    """Blocks (n, 2, 2) of a matrix at nodes (n,) of this rank; None where it couples any two nodes. Collective."""
-    first, comm = matrix.getOwnershipRange()[0], matrix.getComm().tompi4py()
+def bodies_of(operators: Operators) -> Ints:
+    """Unknowns (b, r) of the rigid bodies of this rank, in its own counting."""
+    block, layout = operators.blocks.solid, operators.layout
+    found = block.body_unknown[block.body_owner == layout.comm.rank]
+    return np.asarray(found - int(layout.solid_starts[layout.comm.rank]), dtype=np.int64)
+
+
+def _own_entries(matrix: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the entries between this rank's unknowns that are not 0."""
+    first, count = matrix.getOwnershipRange()[0], matrix.getLocalSize()[0]
     indptr, indices, values = matrix.getValuesCSR()
-    row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))[values != 0.0]
-    col, value = indices[values != 0.0] - first, values[values != 0.0]
-    if comm.allreduce(int(np.any(row // 2 != col // 2))):
-        return None
-    place = np.full(len(indptr) // 2 + 1, -1)
-    place[nodes] = np.arange(len(nodes))
-    blocks = np.zeros((len(nodes), 2, 2))
-    blocks[place[row // 2], row % 2, col % 2] = value
-    return blocks
+    row, col = np.repeat(np.arange(count), np.diff(indptr)), indices.astype(np.int64) - first
+    kept = (values != 0.0) & (col >= 0) & (col < count)
+    return row[kept], col[kept], values[kept]
 
 
-def by_nodes(blocks: Floats, values: Floats) -> Floats:
-    """Blocks (n, 2, 2) times values (2 n,)."""
-    x, y = values[::2], values[1::2]
-    rows = blocks[:, 0, 0] * x + blocks[:, 0, 1] * y, blocks[:, 1, 0] * x + blocks[:, 1, 1] * y
-    result: Floats = np.stack(rows, axis=1).ravel().astype(float, copy=False)
+def groups_of(operators: Operators, own: Ints, by_nodes: bool) -> list[Ints]:
+    """Places (c, m) in ``own`` of unknowns that masses or dashpots couple, by their number m; else pairs of a node.
+
+    No such group is on several ranks, for a term has blocks of nodes and of rigid bodies alone.
+    """
+    if by_nodes:
+        return [np.arange(len(own)).reshape(-1, 2)]
+    matrices = [operators.mass, *(term.damping for term in operators.terms if term.damping is not None)]
+    entries = [_own_entries(matrix)[:2] for matrix in matrices]
+    row, col = (np.concatenate(each) for each in zip(*entries, strict=True))
+    inside = np.isin(row, own) & np.isin(col, own)
+    label = components(np.searchsorted(own, row[inside]), np.searchsorted(own, col[inside]), len(own))
+    _, group, counts = np.unique(label, return_inverse=True, return_counts=True)
+    in_order = np.argsort(group, kind="stable")
+    return [in_order[counts[group[in_order]] == m].reshape(-1, m) for m in np.unique(counts)]
+
+
+def blocks_of(matrix: PETSc.Mat, own: Ints, groups: list[Ints]) -> list[Floats]:
+    """Blocks (c, m, m) of a matrix at each group of ``own``."""
+    row, col, value = _own_entries(matrix)
+    found = [np.zeros((*members.shape, members.shape[1])) for members in groups]
+    batch, number, place = (np.full(matrix.getLocalSize()[0], -1) for _ in range(3))
+    for i, members in enumerate(groups):
+        batch[own[members]] = i
+        number[own[members]] = np.arange(len(members))[:, None]
+        place[own[members]] = np.arange(members.shape[1])
+    for i, blocks in enumerate(found):
+        inside = (batch[row] == i) & (batch[col] == i)
+        one, other = row[inside], col[inside]
+        same = number[one] == number[other]
+        blocks[number[one[same]], place[one[same]], place[other[same]]] = value[inside][same]
+    return found
+
+
+def by_blocks(groups: list[Ints], blocks: list[Floats], values: Floats) -> Floats:
+    """Blocks (c, m, m) of each group times values (n,)."""
+    result = np.zeros(len(values))
+    for members, block in zip(groups, blocks, strict=True):
+        if members.shape[1] == 2:
+            x, y = values[members[:, 0]], values[members[:, 1]]
+            result[members[:, 0]] = block[:, 0, 0] * x + block[:, 0, 1] * y
+            result[members[:, 1]] = block[:, 1, 0] * x + block[:, 1, 1] * y
+        else:
+            result[members] = np.einsum("cij,cj->ci", block, values[members])
     return result
 
 

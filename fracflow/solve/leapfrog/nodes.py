@@ -3,41 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import destroy
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.terms.term import MeanDamping, Term, summed
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE
-from fracflow.solve.leapfrog.local import ChangingLoads, LocalMatrix, at_nodes, touched
+from fracflow.solve.leapfrog.local import (
+    ChangingLoads,
+    LocalMatrix,
+    blocks_of,
+    bodies_of,
+    by_blocks,
+    groups_of,
+    touched,
+)
 from fracflow.solve.leapfrog.rock import Rock, rock_of
 
 MOST_KEPT = 4  # lengths of steps whose masses with dashpots are kept
 
 
-def takes(operators: Operators) -> bool:
-    """Whether a scene is one for these steps: plane rock whose nodes move freely, without fluid. Collective."""
-    if operators.flow is not None or operators.expand is not None or operators.inward is not None:
-        return False
+def is_plain(operators: Operators) -> bool:
+    """Whether rock is plane and each of its nodes has two unknowns of its own, in the order of nodes. Collective."""
     block, layout = operators.blocks.solid, operators.layout
     own, first = block.unknown[: block.owned].ravel(), int(layout.solid_starts[layout.comm.rank])
-    is_plain = operators.blocks.sizes.dim == 2 and np.array_equal(own, first + np.arange(layout.solid_count))
-    every = np.arange(block.owned)
-    is_nodal = [at_nodes(term.damping, every) is not None for term in operators.terms if term.damping is not None]
-    return bool(layout.comm.allreduce(int(not is_plain)) == 0 and all(is_nodal))
+    here = operators.blocks.sizes.dim == 2 and np.array_equal(own, first + np.arange(layout.solid_count))
+    return operators.expand is None and bool(layout.comm.allreduce(int(not here)) == 0)
 
 
 class Nodes:
     """Local numbers of unknowns, ``own`` and the like. Their places are in ``every``, which lists all.
 
-    own     those of nodes with supports or dashpots, whose accelerations are found apart from the rest
-    mass    (n,) of all local unknowns; ``inverse`` of those in ``every``, 0 where held
+    own     those of nodes with supports or dashpots, and of rigid bodies, whose accelerations are found apart from the rest
+    groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
+    mass    (n,) diagonal, of all local unknowns; ``inverse`` of those in ``every``, 0 where held and on bodies
+    bodies  (b, r) places in ``every`` of the unknowns of rigid bodies; their inverse masses (b, r, r), 0 where held
     """
 
     def __init__(self, operators: Operators, scene: Scene, loads: Loads, damping: dict[str, MeanDamping]) -> None:
@@ -48,22 +53,24 @@ class Nodes:
         diagonal.destroy()
         self.acting: list[Term] = [term for term in operators.terms if term.damping is not None]
         springs = [term.stiffness for term in operators.terms if term.stiffness is not None]
-        whole = summed(springs)
-        self.rock: Rock = rock_of(operators, scene, whole)
+        whole, plain = summed(springs), is_plain(operators)
+        self.rock: Rock = rock_of(operators, scene, whole, plain)
         if len(springs) > 1:
             destroy(whole)
         self.held = loads.held
-        is_held = np.zeros(len(self.mass), dtype=bool)
-        is_held[self.held] = True
-        at_node = np.zeros(len(self.mass) // 2, dtype=bool)
-        at_node[self.held // 2] = True
+        bodies = bodies_of(operators)
+        is_held, is_own, self.on_body = (np.zeros(len(self.mass), dtype=bool) for _ in range(3))
+        is_held[self.held] = is_own[self.held] = self.on_body[bodies] = is_own[bodies] = True
         for term in self.acting:
-            at_node[touched(term.damping) // 2] = True
-        nodes = np.flatnonzero(at_node)
-        self.own: Ints = (2 * nodes[:, None] + np.arange(2)).ravel()
-        self.rock.hold(np.repeat(at_node, 2), self.mass)
-        self.dashpots = {term.name: _blocks(term.damping, nodes) for term in self.acting}
-        self._inverses: dict[float, Floats] = {}
+            is_own[touched(term.damping)] = True
+        if plain:
+            is_own = np.repeat(is_own.reshape(-1, 2).any(axis=1), 2)
+        self.own: Ints = np.flatnonzero(is_own)
+        self.rock.hold(is_own, self.mass)
+        self.groups = groups_of(operators, self.own, plain)
+        self.of_mass = blocks_of(operators.mass, self.own, self.groups)
+        self.dashpots = {term.name: blocks_of(term.damping, self.own, self.groups) for term in self.acting}
+        self._inverses: dict[float, list[Floats]] = {}
 
         self.jump = LocalMatrix(joints.jump, touched(joints.jump), square=False)
         self.sizes = LocalMatrix(joints.sizes, self.jump.numbers, square=False)
@@ -80,12 +87,17 @@ class Nodes:
         numbers = [self.held, self.own, self.changing.numbers, *(each.numbers for each in local)]
         self.every: Ints = np.unique(np.concatenate(numbers))
         self.places: Ints = self.rock.places[self.every]
-        self.is_held = is_held[self.every]
-        self.inverse: Floats = np.where(self.is_held, 0.0, 1.0 / self.mass[self.every])
+        self.is_held, self.on_body = is_held[self.every], self.on_body[self.every]
+        alone = ~self.is_held & ~self.on_body
+        self.inverse = np.zeros(len(self.every))
+        self.inverse[alone] = 1.0 / self.mass[self.every[alone]]
+        self.bodies = self.find(bodies)
+        self.inverse_of_bodies = self._inverse_of_bodies(operators, bodies)
         self.at_held, self.at_own, self.at_jump = (self.find(each) for each in (self.held, self.own, self.jump.numbers))
         self.at_loads = self.find(self.changing.numbers)
         self.at_damped = {name: self.find(each.numbers) for name, each in self.damping.items()}
         self.at_springs = {name: self.find(each.numbers) for name, each in self.springs.items()}
+        self.free_bodies = np.flatnonzero((self.on_body & ~self.is_held)[self.at_own])
         self.held_of_own = np.searchsorted(self.own, self.held)
         force = operators.layout.solid_vector()
         self.waves = [term for term in self.acting if term.incoming(0.0, AT_ONCE, force) is not None]
@@ -102,18 +114,35 @@ class Nodes:
         found = [np.broadcast_to(value(part), part.numbers.shape) for part in self.loads.supports if len(part.numbers)]
         return np.concatenate([np.zeros(0), *found])
 
-    def inverse_with_dashpots(self, dt: float) -> Floats:
-        """(M + dt/2 C)^-1 at the nodes of ``own`` (n, 2, 2); nothing where held."""
+    def _inverse_of_bodies(self, operators: Operators, bodies: Ints) -> Floats:
+        """M^-1 of rigid bodies (b, r, r); nothing where held."""
+        whole = blocks_of(operators.mass, np.arange(len(self.mass)), [bodies])[0]
+        free = ~self.is_held[self.bodies]
+        return _inverted(whole, free)
+
+    def accelerated(self, force: Floats) -> Floats:
+        """M^-1 times forces (n,) at ``every``; nothing where held."""
+        result = self.inverse * force
+        if len(self.bodies):
+            result[self.bodies] = np.einsum("bij,bj->bi", self.inverse_of_bodies, force[self.bodies])
+        return result
+
+    def inertia(self, acceleration: Floats) -> Floats:
+        """M times accelerations (n,) of ``own``."""
+        return by_blocks(self.groups, self.of_mass, acceleration)
+
+    def inverse_with_dashpots(self, dt: float) -> list[Floats]:
+        """(M + dt/2 C)^-1 of the groups of ``own``, (c, m, m) each; nothing where held."""
         if dt not in self._inverses:
             if len(self._inverses) == MOST_KEPT:
                 self._inverses.clear()
-            matrix, both = np.zeros((len(self.own) // 2, 2, 2)), np.arange(2)
-            for blocks in self.dashpots.values():
-                matrix += 0.5 * dt * blocks
-            matrix[:, both, both] += self.mass[self.own].reshape(-1, 2)
-            free = ~self.is_held[self.at_own].reshape(-1, 2)
-            kept = free[:, :, None] & free[:, None, :]
-            self._inverses[dt] = np.where(kept, np.linalg.inv(np.where(kept, matrix, np.eye(2))), 0.0)
+            found, is_held = [], self.is_held[self.at_own]
+            for i, (members, mass) in enumerate(zip(self.groups, self.of_mass, strict=True)):
+                matrix = np.zeros(mass.shape)
+                for blocks in self.dashpots.values():
+                    matrix += 0.5 * dt * blocks[i]
+                found.append(_inverted(matrix + mass, ~is_held[members]))
+            self._inverses[dt] = found
         return self._inverses[dt]
 
     def destroy(self) -> None:
@@ -121,7 +150,8 @@ class Nodes:
         destroy(self.rock, self.jump, self.sizes, *self.damping.values(), *self.springs.values())
 
 
-def _blocks(matrix: Any, nodes: Ints) -> Floats:
-    blocks = at_nodes(matrix, nodes)
-    assert blocks is not None
-    return blocks
+def _inverted(matrix: Floats, free: Bools) -> Floats:
+    """Inverse of matrices (c, m, m) on what is free (c, m); nothing elsewhere."""
+    kept = free[:, :, None] & free[:, None, :]
+    found: Floats = np.where(kept, np.linalg.inv(np.where(kept, matrix, np.eye(matrix.shape[1]))), 0.0)
+    return found

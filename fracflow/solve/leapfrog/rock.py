@@ -70,11 +70,11 @@ class Rock(Protocol):
         ...
 
 
-def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None) -> Rock:
-    """The rock of a scene by compiled loops, else by PETSc; ``springs`` is the K of terms. Collective."""
+def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None, plain: bool) -> Rock:
+    """The rock of a scene by compiled loops where it is ``plain``, else by PETSc; ``springs`` is the K of terms. Collective."""
     comm, loops = operators.layout.comm, library()
-    if comm.allreduce(int(loops is None)):
-        return AssembledRock(operators, springs)
+    if not plain or comm.allreduce(int(loops is None)):
+        return AssembledRock(operators, springs, plain)
     return Cells(operators, scene)
 
 
@@ -230,34 +230,23 @@ class Cells:
 
 
 class AssembledRock:
-    """Forces by the matrix of the rock, in blocks, and motion by NumPy: where nothing was compiled."""
+    """Forces by the matrix of the rock, and motion by NumPy: where nothing was compiled, and of rock that is not plain."""
 
-    def __init__(self, operators: Operators, springs: PETSc.Mat | None) -> None:
-        """Make the matrix. Collective."""
-        from scipy import sparse  # imports much
-
+    def __init__(self, operators: Operators, springs: PETSc.Mat | None, plain: bool) -> None:
+        """Make the matrix, in blocks of nodes where it has such. Collective."""
         count, self.energy = operators.layout.solid_count, 0.0
-        rock, self._matrix = operators.stiffness, None
+        rock = operators.stiffness.copy()
         if springs is not None:
-            rock = rock.copy()
             rock.axpy(-1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        indptr, indices, values = rock.getValuesCSR()
-
-        square = sparse.csr_matrix((values, indices, indptr), shape=(count, rock.getSize()[1])).tobsr((2, 2))
-        square.sort_indices()
-        csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
-        self._matrix = PETSc.Mat().createBAIJ(rock.getSizes(), 2, csr=csr, comm=operators.layout.comm)
-        if springs is not None:
-            rock.destroy()
+        self._matrix = _in_blocks(rock, operators) if plain else rock
         self.places = np.arange(count)
         self._vectors = [operators.layout.solid_vector() for _ in range(2)]
         self.u, self._ku = (each.getArray() for each in self._vectors)
         self.v, self.a, self.f, self.e, self._w, self._mass = (np.zeros(count) for _ in range(6))
 
     def hold(self, held: Bools, mass: Floats) -> None:
-        """Take masses (n,) of the local unknowns; nodes with held unknowns (n,) are not moved by forces."""
-        at_nodes = held.reshape(-1, 2).any(axis=1)
-        self._w = np.where(np.repeat(at_nodes, 2), 0.0, 1.0 / np.maximum(mass, 1e-300))
+        """Take masses (n,) of the local unknowns; those that are held (n,) are not moved by forces."""
+        self._w = np.where(held, 0.0, 1.0 / np.maximum(mass, 1e-300))
         self._mass = mass
 
     def begin(self, vector: PETSc.Vec, values: Floats) -> None:
@@ -283,7 +272,6 @@ class AssembledRock:
 
     def step(self, kick: float, drift: float) -> None:
         """One step of all unknowns. Collective."""
-        assert self._matrix is not None
         self._matrix.mult(*self._vectors)
         self.energy = 0.5 * float(self.u @ self._ku)
         np.subtract(self.e, self._ku, out=self.f)
@@ -293,3 +281,18 @@ class AssembledRock:
     def destroy(self) -> None:
         """Free the matrix. Collective."""
         destroy(self._matrix, *self._vectors)
+
+
+def _in_blocks(rock: PETSc.Mat, operators: Operators) -> PETSc.Mat:
+    """A matrix in blocks of two; the given one is freed. Collective."""
+    from scipy import sparse  # imports much
+
+    indptr, indices, values = rock.getValuesCSR()
+    square = sparse.csr_matrix((values, indices, indptr), shape=(rock.getLocalSize()[0], rock.getSize()[1])).tobsr(
+        (2, 2)
+    )
+    square.sort_indices()
+    csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
+    found = PETSc.Mat().createBAIJ(rock.getSizes(), 2, csr=csr, comm=operators.layout.comm)
+    rock.destroy()
+    return found

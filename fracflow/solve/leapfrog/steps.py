@@ -5,90 +5,49 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
+from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.energy import added, dissipated, joint_parts, joint_work
-from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Loads
-from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State, StepReport
+from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
-from fracflow.solve.explicit import ExplicitCoupling
-from fracflow.solve.leapfrog.joints import JointSolver
-from fracflow.solve.leapfrog.local import by_nodes
+from fracflow.solve.explicit import ExplicitModel
+from fracflow.solve.leapfrog.joints import JointSolver, Solved
+from fracflow.solve.leapfrog.local import by_blocks
 from fracflow.solve.leapfrog.nodes import Nodes
-from fracflow.solve.request import StepRequest, on_the_way
-from fracflow.solve.residual import refuse_few, round_off_of_jumps, significant_digits
+from fracflow.solve.request import StepRequest
+from fracflow.solve.residual import round_off_of_jumps
 
 SAME = 1e-14  # of the largest load: a difference by the order of sums
 
 
 class Leapfrog:
-    """Explicit steps of rock and joints without a fluid.
+    """Explicit steps of rock and joints; those of a fluid are made of the same parts by ``advance.explicit_flow``.
 
     Velocities go from the middle of a step to that of the next. They meet displacements at the instants of states alone, so
     that steps between states need a single sweep. Energies of the rock are known at those instants. The work of joints, sides,
     damping and loads is summed over all steps, on their own nodes.
     """
 
-    def __init__(self, coupling: ExplicitCoupling, scene: Scene, loads: Loads) -> None:
+    def __init__(self, explicit: ExplicitModel, scene: Scene, loads: Loads) -> None:
         """Find the nodes of everything. Collective."""
-        self.nodes = Nodes(coupling.operators, scene, loads, coupling.damping)
-        clusters, accuracy = coupling.sections.clusters, scene.accuracy
-        self.joints, self.digits = JointSolver(coupling.operators, clusters, accuracy.max_iterations), accuracy.digits
+        self.nodes = Nodes(explicit.operators, scene, loads, explicit.damping)
+        self.joints = JointSolver(explicit.operators, explicit.sections.clusters, scene.accuracy.max_iterations)
         self.run = Run(self.nodes)
 
-    def advance(self, state: State, request: StepRequest, count: int, then: float) -> tuple[State, StepReport] | None:
-        """The state after ``count`` equal steps, and their cost; None where other loads act than those it was made with.
-
-        then  length of the step that follows [time]
-        Raises SolveError, on every rank. Collective.
-        """
-        loads = request.loads
-        if loads is not self.nodes.loads or request.restraint is not None or request.unapplied:
-            return None
-        if not self.run.begin(state, request.length / count):
-            return None
-        spent = StepReport()
-        for done in range(1, count + 1):
-            time = request.time - request.length * (count - done) / count
-            controls = on_the_way(state.controls, request.controls, 0.0, done / count)
-            around = self.run.dt, self.run.dt if done < count else then
-            iterations, left = self.step(request, time, controls, around, done == count)
-            spent = replace(spent, newton=spent.newton + iterations, solid_residual=max(spent.solid_residual, left))
-        new = self.run.end(state, request.time, controls, around)
-        try:
-            found = significant_digits(self.nodes.operators, new)
-            refuse_few(found, self.digits, new.time)
-        except BaseException:
-            new.destroy()
-            raise
-        self.run.last = new
-        return new, replace(spent, cycles=1, digits=found.digits)
-
-    def step(
-        self, request: StepRequest, time: float, controls: Mapping[str, float], around: Around, is_last: bool
-    ) -> tuple[int, float]:
-        """One step; iterations on the joints, and what they leave of motions. Collective."""
-        run, nodes = self.run, self.nodes
-        run.predict(time, controls, around)
-        iterations, left = 0, 0.0
-        if nodes.operators.blocks.sizes.joints:
-            joints, free = nodes.operators.joints, run.free_strain()
-            before = run.sections
-            found, iterations, left = self.joints.solve(
-                before, free, joint_share(run.dt), LawStep(time, run.dt, True, request.hold)
-            )
-            run.pull(found)
-            refuse_jumps(nodes.operators.blocks, joints, before, run.sections, time)
-        run.move(time, around, is_last)
-        return iterations, left
+    def joints_at_end(self, free: Floats, request: StepRequest) -> Solved:
+        """Joints without a fluid at the end of a step, from their free motion (s, dim). Raises NotConverged. Collective."""
+        before, law_step = self.run.sections, LawStep(request.time, self.run.dt, True, request.hold)
+        return self.joints.solve(before, free, joint_share(self.run.dt), law_step)
 
     def destroy(self) -> None:
         """Free matrices. Collective."""
@@ -116,7 +75,7 @@ class RockSums:
     """Sums over the rock at one instant, of this rank.
 
     strain    strain energy;  ``springs`` that of the K of terms
-    moving    m v^2;  ``pushed`` m a^2 where it is free
+    moving    v M v;  ``pushed`` m a^2 where it is free, but for rigid bodies
     prestress, constant  work of the initial stress on displacements, and of loads where none changes
     """
 
@@ -139,12 +98,12 @@ class Run:
         self.loaded = np.zeros(0, dtype=np.int64)
         self.sums: RockSums | None = None
 
-    def begin(self, state: State, dt: float) -> bool:
-        """Take over a state; False where its loads are others than those of ``Nodes``. Collective."""
+    def begin(self, state: State, dt: float) -> None:
+        """Take over a state. Raises SolveError, on every rank, where loads act that it has not. Collective."""
         nodes, rock, forces = self.nodes, self.rock, state.forces
         self.dt, is_new = dt, self.last is not state
-        if is_new and not self._take_loads(state):
-            return False
+        if is_new:
+            self._take_loads(state)
         self.last = None
         if is_new:
             for vector, values in zip(state.motion.vectors, (rock.u, rock.v, rock.a), strict=True):
@@ -153,6 +112,10 @@ class Run:
             self.sums = self._rock_sums()
         self.old_sums = self.sums
         self.sections, self.friction = state.sections, state.friction
+        self.total = state.sections.traction
+        if nodes.operators.flow is not None:
+            self.total = self.total.copy()
+            self.total[:, -1] -= nodes.operators.flow.at_ends(state.pressure).ravel()
         self.load = forces.load.getArray(readonly=True)[nodes.changing.numbers]
         self.support = forces.support.getArray(readonly=True)[nodes.held]
         zero = np.zeros(len(nodes.own))
@@ -170,13 +133,12 @@ class Run:
         }
         self.powers = dict(forces.powers)
         self.a, self.held_at = rock.a[nodes.places], rock.u[nodes.places[nodes.at_held]]
-        self.held_speed = rock.v[nodes.places[nodes.at_held]]
+        self.own_speed = rock.v[nodes.places[nodes.at_own]]
         self.balance = BalanceSums(0.0, 0.0, {}, {}, np.zeros(4))
         rock.start(dt)
-        return True
 
-    def _take_loads(self, state: State) -> bool:
-        """Loads that stay, in the order of the rock; whether the state has them. Collective."""
+    def _take_loads(self, state: State) -> None:
+        """Loads that stay, in the order of the rock. Raises SolveError, on every rank, where a state lacks them. Collective."""
         nodes, changing, layout = self.nodes, self.nodes.changing, self.nodes.operators.layout
         anchor = state.forces.anchor if nodes.acting else None
         constant = changing.constant(state.time, state.controls, AT_ONCE, anchor)
@@ -187,7 +149,10 @@ class Run:
         worst, largest = (max(each) for each in zip(*layout.comm.allgather(sizes.tolist()), strict=True))
         if worst > SAME * largest:
             constant.destroy()
-            return False
+            raise SolveError(
+                f"time {state.time:.6g}: loads that do not change are off by {worst:.3g} as explicit steps begin: a fault of"
+                ' the program; use stepper = "newmark"'
+            )
         self.rock.begin(constant, self.constant)
         changes = nodes.places[nodes.at_loads]
         self.beside = self.constant[changes]
@@ -195,7 +160,6 @@ class Run:
         np.subtract(self.constant, nodes.prestress, out=self.rock.e)
         self.base = self.rock.e[nodes.places]
         constant.destroy()
-        return True
 
     def _rock_sums(self) -> RockSums:
         """Those of the present instant, of whose displacements the last sweep was."""
@@ -205,8 +169,11 @@ class Run:
             u = rock.u[nodes.places[nodes.at_springs[name]]]
             springs[name] = 0.5 * float(u @ matrix.times(u))
         moving, pushed, prestress = rock.sums(nodes.prestress)
-        of_held = rock.a[nodes.places[nodes.at_held]]
-        pushed -= float(nodes.mass[nodes.held] @ of_held**2)
+        apart = nodes.is_held | nodes.on_body
+        pushed -= float(nodes.mass[nodes.every[apart]] @ rock.a[nodes.places[apart]] ** 2)
+        if len(nodes.bodies):
+            speed = rock.v[nodes.places[nodes.at_own]]
+            moving += float(speed @ (nodes.inertia(speed) - nodes.mass[nodes.own] * speed))
         constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
         return RockSums(rock.energy, springs, moving, pushed, prestress, constant)
 
@@ -219,7 +186,7 @@ class Run:
         load = self.beside + nodes.changing.changing(time, controls, around)
         self.pushed[nodes.at_loads] += load - self.load
         self.old_load, self.load = self.load, load
-        self.added += joint_share(dt) * nodes.inverse * self.pushed
+        self.added += joint_share(dt) * nodes.accelerated(self.pushed)
         self.moved = dt * self.v + self.added
         if len(nodes.held):
             self.old_held_at, self.held_at = self.held_at, nodes.prescribed(lambda part: part.value(time, AT_ONCE))
@@ -230,14 +197,29 @@ class Run:
         nodes = self.nodes
         return nodes.jump.times(self.moved[nodes.at_jump]).reshape(-1, nodes.operators.joints.dim)
 
-    def pull(self, found: Sections) -> None:
-        """Take the response of the joints at the end of the step. Collective."""
+    def pull(self, found: Sections, pressed: Floats | None = None) -> None:
+        """Take the response of the joints at the end of the step. Collective.
+
+        pressed  pressures (s,) of a fluid at their sections; None without one
+        """
         nodes, before, weights = self.nodes, self.sections, self.nodes.operators.joints.weights[:, None]
-        force = nodes.jump.transposed((weights * (before.traction - found.traction)).ravel())
-        more = joint_share(self.dt) * nodes.inverse[nodes.at_jump] * force
+        total = found.traction
+        if pressed is not None:
+            total = total.copy()
+            total[:, -1] -= pressed
+        force = nodes.jump.transposed((weights * (self.total - total)).ravel())
+        self.total = total
         self.pushed[nodes.at_jump] += force
-        self.added[nodes.at_jump] += more
-        self.moved[nodes.at_jump] += more
+        if len(nodes.bodies):
+            whole = np.zeros(len(self.pushed))
+            whole[nodes.at_jump] = force
+            more = joint_share(self.dt) * nodes.accelerated(whole)
+            self.added += more
+            self.moved += more
+        else:
+            more = joint_share(self.dt) * nodes.inverse[nodes.at_jump] * force
+            self.added[nodes.at_jump] += more
+            self.moved[nodes.at_jump] += more
         moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
         record = np.maximum(before.record, np.linalg.norm(found.traction, axis=1))
         self.sections = replace(found, blur=round_off_of_jumps(before.blur, moved), record=record)
@@ -252,7 +234,7 @@ class Run:
         rock.u[places[nodes.at_held]] = self.held_at
         force = self.base.copy()
         force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
-        force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.sections.traction).ravel())
+        force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.total).ravel())
         old_damped = self.damped
         self.damped = {name: each.times(self.moved[nodes.at_damped[name]]) / dt for name, each in nodes.damping.items()}
         for name, each in self.damped.items():
@@ -269,15 +251,16 @@ class Run:
         at_own, resisting = self._own_nodes(rock.f[own], v, time, around)
         a[nodes.at_own] = at_own
         self.a = a
+        held_speed = self.own_speed[nodes.held_of_own]
         v = v + kick * at_own
         if not is_last:
-            v[nodes.held_of_own] = self.held_speed + 0.5 * dt * at_own[nodes.held_of_own]
+            v[nodes.held_of_own] = held_speed + 0.5 * dt * at_own[nodes.held_of_own]
             rock.u[own] = u + drift * v
         else:
-            v[nodes.held_of_own] = self.held_speed
+            v[nodes.held_of_own] = held_speed
             rock.a[own] = at_own
         rock.v[own] = v
-        free, balance = ~nodes.is_held, self.balance
+        free, balance = ~(nodes.is_held | nodes.on_body), self.balance
         balance.scheme += scheme_work(dt, float(self.pushed[free] @ (old_a + a)[free]))
         balance.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
         for name, each in self.damped.items():
@@ -298,27 +281,34 @@ class Run:
         nodes, dt = self.nodes, self.dt
         incoming = self._incoming(time, around)
         resists = np.zeros(len(v))
-        for name, blocks in nodes.dashpots.items():
-            resists += by_nodes(blocks, v)
+        dashpots = nodes.dashpots.items()
+        for name, blocks in dashpots:
+            resists += by_blocks(nodes.groups, blocks, v)
             if name in incoming:
                 resists -= incoming[name]
-        a = by_nodes(nodes.inverse_with_dashpots(dt), force - resists)
+        groups = nodes.groups
+        a = by_blocks(groups, nodes.inverse_with_dashpots(dt), force - resists)
         speed = v + 0.5 * dt * a
         held, at = nodes.held_of_own, nodes.at_held
-        old_speed, old_a = self.held_speed, self.a[at]
+        old_speed, old_a = self.own_speed, self.a[nodes.at_own]
         if len(held):
             a[held] = nodes.prescribed(lambda part: part.acceleration(time, around))
-            speed[held] = self.held_speed = nodes.prescribed(lambda part: part.speed(time, around))
-        found = {name: by_nodes(blocks, speed) - incoming.get(name, 0.0) for name, blocks in nodes.dashpots.items()}
+            speed[held] = nodes.prescribed(lambda part: part.speed(time, around))
+        self.own_speed = speed
+        found = {name: by_blocks(groups, blocks, speed) - incoming.get(name, 0.0) for name, blocks in dashpots}
+        if len(held) or len(nodes.bodies):
+            of_end, both, gain = (nodes.inertia(each) for each in (a, old_a + a, speed - old_speed))
+            gained = 0.5 * (old_speed + speed) * gain
         if len(held):
-            mass, moved = nodes.mass[nodes.held], self.moved[at]
-            support = mass * a[held] - force[held]
+            support = of_end[held] - force[held]
             for each in found.values():
                 support += each[held]
-            inertia = 0.5 * mass * (old_a + a[held])
-            gained = 0.5 * (old_speed + speed[held]) * mass * (speed[held] - old_speed)
-            self.balance.boundaries += float((0.5 * (self.support + support) - inertia) @ moved + gained.sum())
+            work = 0.5 * (self.support + support) - 0.5 * both[held]
+            self.balance.boundaries += float(work @ self.moved[at] + gained[held].sum())
             self.support = support
+        if len(nodes.bodies):
+            left = 0.5 * self.moved[nodes.at_own] * both - gained
+            self.balance.scheme += float(left[nodes.free_bodies].sum())
         return a, found
 
     def _incoming(self, time: float, around: Around) -> dict[str, Floats]:
@@ -335,8 +325,14 @@ class Run:
             force.destroy()
         return found
 
-    def end(self, state: State, time: float, controls: Mapping[str, float], around: Around) -> State:
-        """The state after the last step, which began with ``state``. Collective."""
+    def end(
+        self, state: State, request: StepRequest, around: Around, fluid: Mapping[str, float] = MappingProxyType({})
+    ) -> State:
+        """The state after the last step. Collective.
+
+        state  that at its beginning, but for what a fluid has changed since
+        fluid  entries that this has added to the energy balance
+        """
         nodes, rock, layout = self.nodes, self.rock, self.nodes.operators.layout
         rock.stop()
         motion = Motion(*(layout.solid_vector() for _ in range(3)))
@@ -358,23 +354,24 @@ class Run:
         support, anchor = at(nodes.held, self.support), None if old.anchor is None else copy(old.anchor)
         forces = Forces(load, support, old.conduction.copy(), old.source.copy(), of_terms, self.powers, anchor)
         self.sums = self._rock_sums()
-        return replace(
+        self.last = replace(
             state,
-            time=time,
+            time=request.time,
             motion=motion,
             pressure=state.pressure.copy(),
             sections=self.sections,
             forces=forces,
-            controls=dict(controls),
-            energy=added(state.energy, self._parts()),
+            controls=dict(request.controls),
+            energy=added(state.energy, self._parts(fluid)),
             friction=self.friction,
             previous_step=PreviousStep(),
-            uptake=None,
+            uptake=None if state.uptake is None else state.uptake.copy(),
             adjacent_steps=around,
         )
+        return self.last
 
-    def _parts(self) -> dict[str, float]:
-        """Entries that the steps add to the energy balance. Collective."""
+    def _parts(self, fluid: Mapping[str, float]) -> dict[str, float]:
+        """Entries that the steps add to the energy balance, and those of a fluid. Collective."""
         nodes, balance, before, after = self.nodes, self.balance, self.old_sums, self.sums
         assert before is not None and after is not None
         here = {f"taken {term.name}": balance.taken.get(term.name, 0.0) for term in nodes.operators.terms}
@@ -392,4 +389,4 @@ class Run:
         parts |= joint_parts(values[len(here) :])
         for term in nodes.operators.terms:
             parts |= term.energy(total[f"taken {term.name}"], balance.brought.get(term.name, 0.0))
-        return parts
+        return {name: parts.get(name, 0.0) + fluid.get(name, 0.0) for name in {**parts, **fluid}}
