@@ -33,11 +33,16 @@ class Filled(Protocol):
     """A matrix of all unknowns that is filled again and again.
 
     matrix  as the joints are now
-    stands  without what depends on them; on its pattern
     """
 
     matrix: PETSc.Mat
-    stands: PETSc.Mat
+
+    def standing(self) -> PETSc.Mat:
+        """The matrix without what depends on the joints. The caller destroys it. Collective."""
+
+    @property
+    def stood(self) -> Any:
+        """By which that was filled: it is the same where this is."""
 
     @property
     def alphas(self) -> Any:
@@ -94,17 +99,18 @@ class FracturedRock:
         self.change: PETSc.Mat | None = None
         self.near: PETSc.Scatter | None = None
         self._alphas: Any = None
-        self._state = -1  # of what stands, when its small systems were made
+        self._stood: Any = None  # by which the small systems were made
 
     def setUp(self, _: PETSc.PC) -> None:
         """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
         whole, parts, systems = self.filled.matrix, self.parts, self.systems
-        if "intact" not in systems or self._alphas != self.filled.alphas:
-            self._alphas = self.filled.alphas
-            self._renew_intact()
-        if self._state != (state := self.filled.stands.stateGet()):
-            self._state = state
-            self._renew_standing()
+        is_other = "intact" not in systems or self._alphas != self.filled.alphas
+        if is_other or self._stood != self.filled.stood:
+            self._alphas, self._stood, stands = self.filled.alphas, self.filled.stood, self.filled.standing()
+            if is_other:
+                self._renew_intact(stands)
+            self._renew_standing(stands)
+            stands.destroy()
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems["strips"])
         self._add_joints()
         for part in ("jumps", "strips"):
@@ -114,13 +120,13 @@ class FracturedRock:
         if self.near is None:
             self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
 
-    def _renew_intact(self) -> None:
+    def _renew_intact(self, stands: PETSc.Mat) -> None:
         """E' A_0 E, in hypre's own format where hypre solves for it: it would keep a copy in that format beside. Collective."""
         solver, systems = self.solvers["intact"], self.systems
         if "intact" in systems:
             solver.reset()
             systems.pop("intact").destroy()
-        made = self.filled.stands.PtAP(self.parts.intact)
+        made = stands.PtAP(self.parts.intact)
         _fill_empty(made)
         if solver.getPC().getType() == "hypre":
             systems["intact"] = made.convert("hypre", PETSc.Mat())
@@ -130,13 +136,14 @@ class FracturedRock:
         systems["intact"].setBlockSize(self.node)
         solver.setOperators(systems["intact"])
 
-    def _renew_standing(self) -> None:
+    def _renew_standing(self, stands: PETSc.Mat) -> None:
         """W' A_0 W - W_s' A_0s W_s, with A_0 as it stands without the joints, and s the strips. Collective."""
-        stands, parts, systems = self.filled.stands, self.parts, self.systems
+        parts, systems = self.parts, self.systems
         self.beside = self.beside or _rows_of(parts.jumps, parts.strips)
         systems["strips"] = stands.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
         self.change = systems["strips"].PtAP(self.beside, self.change)
-        self.without = stands.PtAP(parts.jumps, self.without)
+        destroy(self.without)
+        self.without = stands.PtAP(parts.jumps)
         self.without.axpy(-1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def _add_joints(self) -> None:
