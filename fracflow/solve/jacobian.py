@@ -24,6 +24,7 @@ from fracflow.model.operators import Operators
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
 """Operators whose values are read where they are needed."""
+AT_ONCE = 100_000  # values, so that what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -266,8 +267,9 @@ class JoinedMatrix:
 
     def standing(self) -> PETSc.Mat:
         """The matrix as it was filled last, without what depends on the state. The caller destroys it. Collective."""
-        result = self.matrix.duplicate()
-        self._stand(result)
+        result = self.matrix.copy()
+        self._stand_again(result)
+        result.assemble()
         return result
 
     def _stand(self, matrix: PETSc.Mat) -> None:
@@ -280,7 +282,9 @@ class JoinedMatrix:
             if name in self._places:
                 rock = getattr(self.operators, name) if name in ROCK else None
                 values = self._couplings[name] if rock is None else rock.getValuesCSR()[2]
-                data[self._places[name]] += scale * values
+                for begin in range(0, len(values), AT_ONCE):
+                    part = slice(begin, begin + AT_ONCE)
+                    data[self._places[name][part]] += scale * values[part]
 
         add("stiffness", 1.0)
         add("mass", alphas.mass)
