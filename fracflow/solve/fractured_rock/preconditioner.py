@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.layout import Layout
@@ -63,6 +63,7 @@ class Parts:
     strips: PETSc.IS
 
 
+@timed("FracRockParts")
 def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts:
     """The parts, for joints of a mean ``length`` and with held unknowns (h,). The caller destroys them. Collective."""
     nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
@@ -101,6 +102,7 @@ class FracturedRock:
         self._alphas: Any = None
         self._stood: Any = None  # by which the small systems were made
 
+    @timed("FracRockSetUp")
     def setUp(self, _: PETSc.PC) -> None:
         """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
         whole, parts, systems = self.filled.matrix, self.parts, self.systems
@@ -158,6 +160,7 @@ class FracturedRock:
         _fill_empty(systems["jumps"])
         _shift(systems["jumps"])
 
+    @timed("FracRockApply")
     def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
         """Correct by the intact rock, by coarse jumps, and by the strips. Collective."""
         assert self.near is not None
