@@ -108,7 +108,7 @@ class JoinedMatrix:
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
         self.stood: tuple[Any, ...] = ()
-        """By which the matrix was filled but for what depends on the state: alphas, size of flow, free part."""
+        """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
         self._changing_rows, self._changing_entries = self._find_changing()
         self._standing = np.zeros(0)  # values of those entries without the state
         self._filled: tuple[Any, ...] | None = None
@@ -266,14 +266,14 @@ class JoinedMatrix:
         matrix.assemble()
 
     def standing(self) -> PETSc.Mat:
-        """The matrix as it was filled last, without what depends on the state. The caller destroys it. Collective."""
+        """The matrix as it was filled last, but without the state. The caller destroys it. Collective."""
         result = self.matrix.copy()
         self._stand_again(result)
         result.assemble()
         return result
 
     def _stand(self, matrix: PETSc.Mat) -> None:
-        """Fill ``matrix`` with what does not depend on the state, the held rows too. Collective."""
+        """Fill ``matrix`` with all that does not depend on the state, the held rows too. Collective."""
         alphas, flow_scale, only = self.stood
         scales, free, data = self.operators.scales, self._free_parts[only], np.zeros(len(self._col))
         solid_solid = scales.displacement / scales.force
@@ -302,7 +302,7 @@ class JoinedMatrix:
         self._standing = data[self._changing_entries]
 
     def _stand_again(self, matrix: PETSc.Mat) -> None:
-        """Take out what was added by the state before. Collective."""
+        """Take out the state that was added before. Collective."""
         indptr = np.concatenate([[0], np.cumsum(np.diff(self._indptr)[self._changing_rows])])
         rows = petsc_ints(self._changing_rows + self.layout.start)
         cols = self._col[self._changing_entries]

@@ -148,7 +148,7 @@ class System(Protocol):
     matrix: PETSc.Mat
 
     def standing(self) -> PETSc.Mat:
-        """It without what depends on the joints. The caller destroys it. Collective."""
+        """The matrix without the joints. The caller destroys it. Collective."""
 
     @property
     def stood(self) -> Any:

@@ -60,7 +60,7 @@ class RockBlock:
         return cls(block, part, whole.operators, alone, held, whole.alphas, whole.stood)
 
     def standing(self) -> PETSc.Mat:
-        """What stands of it. The caller destroys it. Collective."""
+        """The block without the joints. The caller destroys it. Collective."""
         return self.stands.copy()
 
 

@@ -38,7 +38,7 @@ class Filled(Protocol):
     matrix: PETSc.Mat
 
     def standing(self) -> PETSc.Mat:
-        """The matrix without what depends on the joints. The caller destroys it. Collective."""
+        """The matrix without the joints. The caller destroys it. Collective."""
 
     @property
     def stood(self) -> Any:
