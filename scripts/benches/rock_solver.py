@@ -2,8 +2,8 @@
 
 The sliding network of scripts/bench sliding by LU and by multigrid, each in a process of its own: CPU seconds of PETSc's solve
 in a Newton iteration, and the largest memory. With --space the sliding planes of scripts/bench sliding_3d, too. Beside them
-stands what fracflow/solve/rock_cost.py says. Exit code 1 where a bar is missed: time over that of LU off by more than 1.5 times,
-memory by more than 1.2 times, or a choice that takes more than 1.5 times the time of the other.
+stands what fracflow/solve/rock_cost.py says. Exit code 1 where a bar is missed: time over that of LU off by more than 1.5
+times, memory by more than 1.2 times, or a choice that takes more than 1.5 times the time of the other.
 """
 
 from __future__ import annotations
