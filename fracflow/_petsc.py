@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import glob
 import os
 import re
@@ -9,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
 from importlib.util import find_spec
 from typing import Any, ParamSpec, TypeVar
@@ -76,6 +77,18 @@ def _without_network() -> Iterator[None]:
             del os.environ[name]
 
 
+def _return_memory() -> None:
+    """Let the C library return large arrays to the system, which SuperLU_DIST forbids it as PETSc loads it.
+
+    The holes that they leave took a ninth of the memory of a run. Other C libraries than GNU's have no such option.
+    """
+    with suppress(AttributeError, OSError):
+        choose = ctypes.CDLL(None).mallopt
+        choose(_MMAP_MAX, 65_536)
+        choose(_MMAP_THRESHOLD, 2**21)
+
+
+_MMAP_THRESHOLD, _MMAP_MAX = -3, -4  # of malloc.h
 _use_petsc_dir()
 try:
     import petsc4py
@@ -89,6 +102,7 @@ try:
     from petsc4py import PETSc
 
     PETSc.Options().delValue("skip_petscrc")
+    _return_memory()
     # PETSc frees its own communicator with the last object on it. Kept, ranks never disagree on whether it is there.
     _WORLD = PETSc.COMM_WORLD.duplicate()
 

@@ -78,7 +78,9 @@ def assembled(blocks: Blocks, chosen: Ints, kernel: Callable[[Ints, Ints], Float
         numbers = node_unknowns(blocks, nodes).reshape(len(nodes), nodes.shape[1] * dim)
         add_blocks(matrix, numbers, numbers, kernel(chosen[group], nodes))
     matrix.assemble()
-    return matrix
+    result = matrix.copy()  # which has no room that is left
+    matrix.destroy()
+    return result
 
 
 def assembled_at_nodes(blocks: Blocks, parts: Iterable[tuple[Ints, Floats]], expand: PETSc.Mat | None) -> PETSc.Mat:

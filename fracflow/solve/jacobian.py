@@ -22,6 +22,9 @@ from fracflow.model.network_parts import Closure, closure_row
 from fracflow.model.operators import Operators
 
 PARTS = ("solid", "flow")
+ROCK = ("stiffness", "mass", "damping")
+"""Operators whose values are read where they are needed."""
+AT_ONCE = 100_000  # values, so that what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -77,21 +80,22 @@ class JoinedMatrix:
         self._closures = [self._closure(closure) for closure in loads.closures]
         self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
         union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
-        self._row, self._col = petsc_ints(union // layout.total), petsc_ints(union % layout.total)
+        row, self._col = union // layout.total, petsc_ints(union % layout.total)
         self._diagonal = np.searchsorted(union, diagonal)
         names = [
             each for each in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling") if each in parts
         ]
-        self._constant = {name: (petsc_ints(np.searchsorted(union, keys[name])), parts[name].values) for name in names}
+        self._places = {name: petsc_ints(np.searchsorted(union, keys[name])) for name in names}
+        self._couplings = {name: parts[name].values for name in names if name not in ROCK}
         self._closing = [
             (
-                np.flatnonzero(np.isin(self._row, c.rows)),
+                np.flatnonzero(np.isin(row, c.rows)),
                 np.searchsorted(union, c.rows * layout.total + c.cols),
                 c.values,
             )
             for c in self._closures
         ]
-        self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
+        self._indptr = petsc_ints(np.searchsorted(row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
         csr = (self._indptr, self._col, np.zeros(len(union)))
         is_dry = layout.flow_starts[-1] == 0
@@ -103,9 +107,10 @@ class JoinedMatrix:
             space.destroy()
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
-        # what does not depend on the state, the held rows too: copied before what does is added
-        self.stands = self.matrix.duplicate()
-        self._stands_for: tuple[Any, ...] = ()
+        self.stood: tuple[Any, ...] = ()
+        """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
+        self._changing_rows, self._changing_entries = self._find_changing()
+        self._standing = np.zeros(0)  # values of those entries without the state
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
 
@@ -151,6 +156,18 @@ class JoinedMatrix:
             inside = np.isin(ops.blocks.joints.flow, closure.nodes)
             self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
 
+    def _find_changing(self) -> tuple[Ints, Ints]:
+        """Entries of this rank's rows to which the state adds something: numbers of rows, places of entries. Collective."""
+        marks = self.layout.joined_vector()
+        for numbers in (*self._sections, self._flow_nodes, self._keeping):
+            chosen = petsc_ints(numbers[numbers >= 0])
+            marks.setValues(chosen, np.ones(len(chosen)), PETSc.InsertMode.ADD)
+        marks.assemble()
+        changes = marks.getArray(readonly=True) > 0.0
+        entries = np.flatnonzero(np.repeat(changes, np.diff(self._indptr)))
+        marks.destroy()
+        return np.flatnonzero(changes), entries
+
     def _held(self, only: str | None) -> np.ndarray:
         """Whether each of the unknowns of all ranks is held."""
         held = np.zeros(self.layout.total, dtype=bool)
@@ -173,7 +190,7 @@ class JoinedMatrix:
         closed[np.concatenate(self.layout.comm.allgather(np.array(here, dtype=np.int64)))] = True
         nodes = free(self._flow_nodes)
         return FreePart(
-            np.flatnonzero(own[self._row] | held[self._col]),
+            np.flatnonzero(np.repeat(own, np.diff(self._indptr)) | held[self._col]),
             self._diagonal[own],
             np.where(closed[self._flow_nodes], -1, nodes),
             tuple(free(numbers) for numbers in self._sections),
@@ -222,8 +239,11 @@ class JoinedMatrix:
         if only not in self._free_parts:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]
-        self._keep_standing(alphas, flow_scale, only)
-        self.stands.copy(matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        if self.stood != (alphas, flow_scale, only):
+            self.stood = (alphas, flow_scale, only)
+            self._stand(matrix)
+        else:
+            self._stand_again(matrix)
         for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
@@ -245,18 +265,26 @@ class JoinedMatrix:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()
 
-    def _keep_standing(self, alphas: Alphas, flow_scale: float, only: str | None) -> None:
-        """Make anew what does not depend on the state, where it was made for others. Collective."""
-        if self._stands_for == (alphas, flow_scale, only):
-            return
-        self._stands_for = (alphas, flow_scale, only)
+    def standing(self) -> PETSc.Mat:
+        """The matrix as it was filled last, but without the state. The caller destroys it. Collective."""
+        result = self.matrix.copy()
+        self._stand_again(result)
+        result.assemble()
+        return result
+
+    def _stand(self, matrix: PETSc.Mat) -> None:
+        """Fill ``matrix`` with all that does not depend on the state, the held rows too. Collective."""
+        alphas, flow_scale, only = self.stood
         scales, free, data = self.operators.scales, self._free_parts[only], np.zeros(len(self._col))
         solid_solid = scales.displacement / scales.force
 
         def add(name: str, scale: float) -> None:
-            if name in self._constant:
-                places, values = self._constant[name]
-                data[places] += scale * values
+            if name in self._places:
+                rock = getattr(self.operators, name) if name in ROCK else None
+                values = self._couplings[name] if rock is None else rock.getValuesCSR()[2]
+                for begin in range(0, len(values), AT_ONCE):
+                    part = slice(begin, begin + AT_ONCE)
+                    data[self._places[name][part]] += scale * values[part]
 
         add("stiffness", 1.0)
         add("mass", alphas.mass)
@@ -269,8 +297,17 @@ class JoinedMatrix:
             data[places] = weights
         data[free.held_entries] = 0.0
         data[free.held_diagonal] = 1.0
-        self.stands.setValuesCSR(self._indptr, self._col, data)
-        self.stands.assemble()
+        matrix.setValuesCSR(self._indptr, self._col, data)
+        matrix.assemble()
+        self._standing = data[self._changing_entries]
+
+    def _stand_again(self, matrix: PETSc.Mat) -> None:
+        """Take out the state that was added before. Collective."""
+        indptr = np.concatenate([[0], np.cumsum(np.diff(self._indptr)[self._changing_rows])])
+        rows = petsc_ints(self._changing_rows + self.layout.start)
+        cols = self._col[self._changing_entries]
+        matrix.setValuesIJV(petsc_ints(indptr), cols, self._standing, PETSc.InsertMode.INSERT, rows)
+        matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
 
     def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
         """Add what compression does to the rows that keep the fluid of a part."""
@@ -283,7 +320,7 @@ class JoinedMatrix:
 
     def destroy(self) -> None:
         """Free the matrices. Collective."""
-        destroy(self.matrix, self.stands)
+        self.matrix.destroy()
 
 
 def _union(keys: list[Ints]) -> Ints:

@@ -7,7 +7,7 @@ factors of its own, so that it does not depend on which steps this process has m
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -143,10 +143,16 @@ def _mumps_code(solver: PETSc.KSP) -> int:
 
 
 class System(Protocol):
-    """A matrix that is filled again and again, with its unknowns; ``stands`` is it without what depends on the joints."""
+    """A matrix that is filled again and again, with its unknowns."""
 
     matrix: PETSc.Mat
-    stands: PETSc.Mat
+
+    def standing(self) -> PETSc.Mat:
+        """The matrix without the joints. The caller destroys it. Collective."""
+
+    @property
+    def stood(self) -> Any:
+        """By which that was filled: it is the same where this is."""
 
     @property
     def operators(self) -> Operators:

@@ -47,11 +47,11 @@ class Shares:
 
 
 SHARES = {
-    2: Shares(1.5, 3.3, 0.11, 10.0, 1.8, 0.15, 200.0, 7.8, 0.08),
+    2: Shares(1.5, 3.3, 0.11, 10.0, 1.8, 0.15, 136.0, 7.8, 0.08),
     3: Shares(2.0, 1160.0, 0.25, 40.0, 16.0, 1.7, 600.0, 15.0, 0.12),
 }
 """By dimension. Measured from 7e3 to 3.3e5 unknowns in the plane, 1.1e4 to 3e4 in space; ``holds`` in space is a guess."""
-PROGRAM, MATRICES = 1.5e8, 330.0
+PROGRAM, MATRICES = 1.37e8, 220.0
 """Bytes of the program with its libraries; numbers an unknown in matrices and vectors, however the rock is solved for."""
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class RockBlock:
     layout: Layout
     fixed: Ints
     alphas: Alphas | None
+    stood: tuple[Any, ...]
 
     @classmethod
     def of(cls, whole: JoinedMatrix, block: PETSc.Mat) -> RockBlock:
@@ -51,11 +53,15 @@ class RockBlock:
         rank = owner_of(starts, whole.fixed)
         numbers = whole.fixed - layout.flow_starts[rank]
         solid, flow = layout.index_sets()
-        stands = whole.stands.createSubMatrix(solid, solid)
-        destroy(solid, flow)
-        return cls(
-            block, stands, whole.operators, alone, numbers[numbers < layout.solid_starts[rank + 1]], whole.alphas
-        )
+        stands = whole.standing()
+        part = stands.createSubMatrix(solid, solid)
+        destroy(solid, flow, stands)
+        held = numbers[numbers < layout.solid_starts[rank + 1]]
+        return cls(block, part, whole.operators, alone, held, whole.alphas, whole.stood)
+
+    def standing(self) -> PETSc.Mat:
+        """The block without the joints. The caller destroys it. Collective."""
+        return self.stands.copy()
 
 
 class Cycle:

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, destroy
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.layout import Layout
@@ -33,11 +33,16 @@ class Filled(Protocol):
     """A matrix of all unknowns that is filled again and again.
 
     matrix  as the joints are now
-    stands  without what depends on them; on its pattern
     """
 
     matrix: PETSc.Mat
-    stands: PETSc.Mat
+
+    def standing(self) -> PETSc.Mat:
+        """The matrix without the joints. The caller destroys it. Collective."""
+
+    @property
+    def stood(self) -> Any:
+        """By which that was filled: it is the same where this is."""
 
     @property
     def alphas(self) -> Any:
@@ -58,6 +63,7 @@ class Parts:
     strips: PETSc.IS
 
 
+@timed("FracRockParts")
 def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts:
     """The parts, for joints of a mean ``length`` and with held unknowns (h,). The caller destroys them. Collective."""
     nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
@@ -89,51 +95,72 @@ class FracturedRock:
             self.solvers[part] = PETSc.KSP().create(comm=filled.matrix.getComm())
             self.solvers[part].setOptionsPrefix(f"{prefix}_{part}_")
             self.solvers[part].setFromOptions()
-        self.stands: dict[str, PETSc.Mat] = {}
+        self.without: PETSc.Mat | None = None  # W' A_0 W but for what lies within the strips
         self.beside: PETSc.Mat | None = None
-        self.joints: PETSc.Mat | None = None
         self.change: PETSc.Mat | None = None
         self.near: PETSc.Scatter | None = None
         self._alphas: Any = None
-        self._state = -1  # of what stands, when its small systems were made
+        self._stood: Any = None  # by which the small systems were made
 
+    @timed("FracRockSetUp")
     def setUp(self, _: PETSc.PC) -> None:
         """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
-        whole, parts, systems, stands = self.filled.matrix, self.parts, self.systems, self.stands
-        if "intact" not in systems or self._alphas != self.filled.alphas:
-            self._alphas = self.filled.alphas
-            systems["intact"] = self.filled.stands.PtAP(parts.intact, systems.get("intact"))
-            _fill_empty(systems["intact"])
-            systems["intact"].setBlockSize(self.node)
-            self.solvers["intact"].setOperators(systems["intact"])
-        if self._state != (state := self.filled.stands.stateGet()):
-            self._state = state
-            stands["jumps"] = self.filled.stands.PtAP(parts.jumps, stands.get("jumps"))
-            stands["strips"] = self.filled.stands.createSubMatrix(parts.strips, parts.strips, stands.get("strips"))
-        systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
+        whole, parts, systems = self.filled.matrix, self.parts, self.systems
+        is_other = "intact" not in systems or self._alphas != self.filled.alphas
+        if is_other or self._stood != self.filled.stood:
+            self._alphas, self._stood, stands = self.filled.alphas, self.filled.stood, self.filled.standing()
+            if is_other:
+                self._renew_intact(stands)
+            self._renew_standing(stands)
+            stands.destroy()
+        systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems["strips"])
         self._add_joints()
         for part in ("jumps", "strips"):
             self.solvers[part].setOperators(systems[part])
-        for part, system in systems.items():
-            self.vectors.setdefault(part, system.createVecs())
+        for part in systems.keys() - self.vectors.keys():
+            self.vectors[part] = systems[part].createVecs()
         if self.near is None:
             self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
 
+    def _renew_intact(self, stands: PETSc.Mat) -> None:
+        """E' A_0 E, in hypre's own format where hypre solves for it: it would keep a copy in that format beside. Collective."""
+        solver, systems = self.solvers["intact"], self.systems
+        if "intact" in systems:
+            solver.reset()
+            systems.pop("intact").destroy()
+        made = stands.PtAP(self.parts.intact)
+        _fill_empty(made)
+        if solver.getPC().getType() == "hypre":
+            systems["intact"] = made.convert("hypre", PETSc.Mat())
+            made.destroy()
+        else:
+            systems["intact"] = made
+        systems["intact"].setBlockSize(self.node)
+        solver.setOperators(systems["intact"])
+
+    def _renew_standing(self, stands: PETSc.Mat) -> None:
+        """W' A_0 W - W_s' A_0s W_s, with A_0 as it stands without the joints, and s the strips. Collective."""
+        parts, systems = self.parts, self.systems
+        self.beside = self.beside or _rows_of(parts.jumps, parts.strips)
+        systems["strips"] = stands.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
+        self.change = systems["strips"].PtAP(self.beside, self.change)
+        destroy(self.without)
+        self.without = stands.PtAP(parts.jumps)
+        self.without.axpy(-1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
     def _add_joints(self) -> None:
         """W' A W = W' A_0 W + W_s' (A - A_0)_s W_s: what depends on joints lies within the strips. Collective."""
-        systems, stands = self.systems, self.stands
-        if self.beside is None:
-            self.beside, self.joints = _rows_of(self.parts.jumps, self.parts.strips), systems["strips"].duplicate()
-            systems["jumps"] = stands["jumps"].duplicate()
-        assert self.joints is not None
-        systems["strips"].copy(self.joints, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.joints.axpy(-1.0, stands["strips"], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.change = self.joints.PtAP(self.beside, self.change)
-        stands["jumps"].copy(systems["jumps"])  # which has entries of empty rows beside
+        systems = self.systems
+        assert self.without is not None
+        self.change = systems["strips"].PtAP(self.beside, self.change)
+        if "jumps" not in systems:
+            systems["jumps"] = self.without.duplicate()
+        self.without.copy(systems["jumps"])  # which has entries of empty rows beside
         systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         _fill_empty(systems["jumps"])
         _shift(systems["jumps"])
 
+    @timed("FracRockApply")
     def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
         """Correct by the intact rock, by coarse jumps, and by the strips. Collective."""
         assert self.near is not None
@@ -154,7 +181,7 @@ class FracturedRock:
     def destroy(self, _: PETSc.PC) -> None:
         """Free all. Collective."""
         destroy(self.parts.intact, self.parts.jumps, self.parts.strips, self.left, self.near)
-        destroy(self.beside, self.joints, self.change, *self.stands.values())
+        destroy(self.beside, self.without, self.change)
         destroy(*self.solvers.values(), *self.systems.values(), *(v for pair in self.vectors.values() for v in pair))
 
 
