@@ -15,6 +15,7 @@ from fracflow.laws.base import (
     published_history,
 )
 from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, FrontCubic, ReportCubic
+from fracflow.laws.dilation import dilating, may_dilate
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.rate_and_state import RateAndState
@@ -44,6 +45,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 __all__ = [
     "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse",
-    "Key", "LawStep", "Leakage", "Linear", "RateAndState", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
-    "published_history",
+    "Key", "LawStep", "Leakage", "Linear", "RateAndState", "SlipWeakening", "TermLaw", "dilating", "keys_of", "make_law",
+    "may_dilate", "parameters_of", "published_history",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError, SolveError
-from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, parameters_of
+from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, dilating, make_law, parameters_of
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
@@ -136,6 +136,11 @@ class Joints:
         """Sections of a joint."""
         return len(self.natural)
 
+    @property
+    def dilate(self) -> bool:
+        """Whether slip opens any of them, on any rank."""
+        return any("dilation" in group.law.history for group in self.laws)
+
     def initial_history(self) -> SectionHistory:
         """Histories of all laws at the initial state."""
         return tuple(group.law.initial_history(len(group.sections), self.dim) for group in self.laws)
@@ -226,21 +231,27 @@ class Joints:
                 changed[group.sections] = group.law.has_changed(before, after)
         return changed
 
-    def step_limit(self, strain: Floats, increment: Floats) -> float:
-        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1."""
+    def step_limit(self, strain: Floats, increment: Floats, sections: Sections) -> float:
+        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1.
+
+        sections  whose dilation has part in ``strain``
+        """
+        strain = _less_dilation(strain, sections)
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
-    def may_close(self, strain: Floats) -> Floats:
+    def may_close(self, strain: Floats, sections: Sections) -> Floats:
         """How far (s,) the law of each section lets it close in an iteration; inf where closure has no end [length]."""
+        strain = _less_dilation(strain, sections)
         closing, result = np.zeros_like(strain), np.zeros(len(strain))
         closing[:, -1] = -1.0
         for group in self.laws:
             result[group.sections] = group.law.step_limit(strain[group.sections], closing[group.sections])
         return result
 
-    def change_at(self, strain: Floats, increment: Floats) -> float:
+    def change_at(self, strain: Floats, increment: Floats, sections: Sections) -> float:
         """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
+        strain = _less_dilation(strain, sections)
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
@@ -276,6 +287,13 @@ class Joints:
             (g.unknowns, joint.tangent(g.jump[:, None], moduli[g.sections, None], self.weights[g.sections, None]))
             for g in self.groups
         ]
+
+
+def _less_dilation(strain: Floats, sections: Sections) -> Floats:
+    """Strains (s, dim) less the opening that slip has brought to sections."""
+    elastic = strain.copy()
+    elastic[:, -1] -= sections.inelastic[:, -1]
+    return elastic
 
 
 def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
@@ -336,7 +354,14 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
                 given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]
-        groups.append(LawGroup(sections, make_law(name, **given)))
+        law = make_law(name, **given)
+        if any(table.law == name and table.dilates for table in tables):
+            angle, distance = (
+                along_fractures(blocks, scene, key, natural).ravel()[sections]
+                for key in ("dilation_angle_deg", "dilation_distance")
+            )
+            law = dilating(law, angle, distance)
+        groups.append(LawGroup(sections, law))
     return tuple(groups)
 
 

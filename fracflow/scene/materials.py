@@ -9,7 +9,16 @@ from pydantic import AfterValidator, Field, StrictBool, create_model, model_vali
 
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene import units
-from fracflow.scene.laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
+from fracflow.scene.laws import (
+    Property,
+    check,
+    check_dilation,
+    check_order,
+    defaults,
+    describe_laws,
+    known_law,
+    law_fields,
+)
 from fracflow.scene.method import Size, Stress, Table
 from fracflow.scene.profiles import Along, AlongInTime, Pressures, Profile
 from fracflow.scene.units import Quantity, fault
@@ -128,6 +137,10 @@ class _Joint(Table):
     """aperture below which the conductance falls no further [length]"""
     friction_angle_deg: Annotated[Property | None, _along(units.ANGLE, at_least=0.0, below=90.0)] = None
     """arctan of friction_coefficient, in place of it [degree]"""
+    dilation_angle_deg: Annotated[Property, _along(units.ANGLE, at_least=0.0, below=90.0)] = 0.0
+    """psi, by whose tangent walls that begin to slip ride up on each other; of a law with friction [degree]"""
+    dilation_distance: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
+    """d, slip over which the tangent of that angle falls to zero, in proportion to the slip [length]"""
 
 
 class LeakOff(Table):
@@ -159,11 +172,19 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
         check(self.law, vars(self))
+        check_dilation(self.law, self.dilates, self.dilation_distance is not None)
         for name, value in defaults(self.law).items():
             if getattr(self, name) is None:
                 self.__dict__[name] = value  # so that the table that is written back says it
         check_order(self.law, {**vars(self), "friction_coefficient": self.friction})
         return self
+
+    @property
+    def dilates(self) -> bool:
+        """Whether slip opens it anywhere."""
+        angle = self.dilation_angle_deg
+        given = max(angle.values) if isinstance(angle, Profile) else angle
+        return given > 0.0 and not JOINT_LAWS[self.law].passes_over
 
     @property
     def leak_permeability(self) -> float:
