@@ -4,7 +4,7 @@ Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
 Terms may add entries: on the left, or on the right where their names begin with "work_". Where joints dilate, ``dilation``
-tells which work their walls have done against what presses them as they rode up. Friction lacks it already: it is dissipation.
+is the work of walls that ride up against what presses them. It is no summand: the dissipation ``friction`` is less it.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError, SolveError
-from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, dilating, make_law, parameters_of
+from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
@@ -99,12 +99,13 @@ class Massless:
 
 @dataclass(frozen=True)
 class Walls:
-    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
+    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), and step."""
 
     opening: Floats | None
     slip: Floats
     history: Mapping[str, Floats]
     step: LawStep
+    plastic: PlasticSlip | None = None
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,16 @@ class Joints:
         """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""
         slip = self._next_to_ends(sections.strain[:, :-1]) if law.knows_slip else np.zeros((0, 2, self.dim - 1))
         history = {name: self._next_to_ends(self.history(sections.history, name)) for name in law.reads}
-        return Walls(self.openings(sections.strain), slip, history, step)
+        grows = law.roughness is not None and law.roughness.grows
+        return Walls(self.openings(sections.strain), slip, history, step, self._plastic(sections) if grows else None)
+
+    def _plastic(self, sections: Sections) -> PlasticSlip:
+        """That next to the joint ends."""
+        k_s = np.full(len(self.weights), np.nan)
+        for group in (group for group in self.laws if group.law.slides):
+            k_s[group.sections] = getattr(group.law, "shear_stiffness", np.nan)
+        found = PlasticSlip.of(sections.inelastic[:, :-1], sections.tangent[:, :-1], k_s)
+        return PlasticSlip(self._next_to_ends(found.slip), self._next_to_ends(found.by_strain))
 
     def _next_to_ends(self, values: Floats) -> Floats:
         return values.reshape(-1, self.points, *values.shape[1:])[:, [0, -1]]
@@ -232,17 +242,14 @@ class Joints:
         return changed
 
     def step_limit(self, strain: Floats, increment: Floats, sections: Sections) -> float:
-        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1.
-
-        sections  whose dilation has part in ``strain``
-        """
-        strain = _less_dilation(strain, sections)
+        """Largest fraction of an increment (s, dim) that every law of this rank allows after ``sections``; at most 1."""
+        strain = sections.less_dilation(strain)
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
     def may_close(self, strain: Floats, sections: Sections) -> Floats:
         """How far (s,) the law of each section lets it close in an iteration; inf where closure has no end [length]."""
-        strain = _less_dilation(strain, sections)
+        strain = sections.less_dilation(strain)
         closing, result = np.zeros_like(strain), np.zeros(len(strain))
         closing[:, -1] = -1.0
         for group in self.laws:
@@ -251,7 +258,7 @@ class Joints:
 
     def change_at(self, strain: Floats, increment: Floats, sections: Sections) -> float:
         """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
-        strain = _less_dilation(strain, sections)
+        strain = sections.less_dilation(strain)
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
@@ -287,13 +294,6 @@ class Joints:
             (g.unknowns, joint.tangent(g.jump[:, None], moduli[g.sections, None], self.weights[g.sections, None]))
             for g in self.groups
         ]
-
-
-def _less_dilation(strain: Floats, sections: Sections) -> Floats:
-    """Strains (s, dim) less the opening that slip has brought to sections."""
-    elastic = strain.copy()
-    elastic[:, -1] -= sections.inelastic[:, -1]
-    return elastic
 
 
 def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
