@@ -128,7 +128,7 @@ class Dilatant(JointLaw):
         return found
 
     def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
-        """That of the law of friction, without slip."""
+        """That of the law of friction, and zeros (sections,) of its own."""
         none = {"dilation": np.zeros(sections), "ridden": np.zeros(sections)}
         return self.law.initial_history(sections, dim) | none
 
@@ -153,31 +153,31 @@ class Dilatant(JointLaw):
         return self.law.with_other_status(_less(strain, history["dilation"]), history, chosen)
 
     def steepness(self, traction: Floats, history: History) -> Floats:
-        """That of the law of friction: of the strength at a constant normal traction."""
+        """That of the law of friction (n,): of the strength at a constant normal traction."""
         return self.law.steepness(traction, history)
 
     def softening(self, traction: Floats, history: History) -> Floats:
-        """That of the law of friction: of the strength at a constant normal traction."""
+        """That of the law of friction (n,): of the strength at a constant normal traction."""
         return self.law.softening(traction, history)
 
     def strength_drop(self, compression: Floats) -> Floats:
-        """That of the law of friction."""
+        """That of the law of friction (n,)."""
         return self.law.strength_drop(compression)
 
     def slip_length(self, sections: int) -> Floats:
-        """That of the law of friction."""
+        """That of the law of friction (n,)."""
         return self.law.slip_length(sections)
 
     def state_length(self, history: History) -> Floats:
-        """That of the law of friction."""
+        """That of the law of friction (n,)."""
         return self.law.state_length(history)
 
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
-        """Those of the law of friction."""
+        """Those of the law of friction (n,)."""
         return self.law.rate_effects(compression)
 
     def radiated(self, slip: Floats, step: LawStep) -> Floats:
-        """That of the law of friction."""
+        """That of the law of friction (n,)."""
         return self.law.radiated(slip, step)
 
 

@@ -34,8 +34,9 @@ class Roughness:
     distance  L of that slip [length]; any where m is 1
 
     The cubic law has the aperture w_h = w_h0 + f (w - w_0) (Witherspoon et al. 1980, Rutqvist and Stephansson 2003). A
-    conductance is F(s) times that without slip, F = m - (m - 1) exp(-s/L), the mean of both ends: dk/ds = (k_max - k)/L, as
-    faults are given it by Zhu, Allison, Dunham and Yang (2020), without healing. s is the length of the net plastic slip.
+    conductance is F(s) times that without slip, F = m - (m - 1) exp(-s/L), the mean of both ends. It solves
+    dk/ds = (k_max - k)/L, the law of Zhu, Allison, Dunham and Yang (2020) without healing. s is the length of the net plastic
+    slip.
     """
 
     aperture: Floats

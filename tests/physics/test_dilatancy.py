@@ -112,7 +112,7 @@ def test_constant_normal_stiffness(run_scene):
 
 
 def test_sealed(run_scene):
-    """What the walls ride up by draws the pressure of the fluid that is shut in down, and presses them together."""
+    """Walls that ride up draw the pressure of the fluid down that is shut in, and so press each other."""
     ran = run_scene(SEALED, "accuracy.residual=1e-13")
     slip, aperture, normal, pressure = (
         ran.probe("middle", name) for name in ("plastic_slip", "aperture", "normal_traction", "pressure")
