@@ -1,7 +1,7 @@
 """S14: where dilation holds slip that weakens: a layer sheared over a joint whose fluid is shut in.
 
 By the hardening of dilation and by the fall of strength, each over the stiffness k of layer and joint. Slip opens the walls.
-The fluid that is shut in loses pressure. The strength rises by f K_f tan psi/d a slip, less what the closure of the joint gives.
+The fluid that is shut in loses pressure. The strength rises by f K_f tan psi/d a slip, less what the closure gives.
 Predicted: slip is stable where that and k exceed the fall of strength (Rudnicki and Chen 1988, Segall and Rice 1995). Past it a
 stage without inertia ends: at a limit point, or since no balance is near.
 """
