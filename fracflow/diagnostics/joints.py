@@ -86,7 +86,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
 
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
-    cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
+    cubic = np.maximum(ends("hydraulic"), ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
     drop, distance, *states = _of_laws(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)

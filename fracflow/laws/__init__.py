@@ -14,10 +14,12 @@ from fracflow.laws.base import (
     parameters_of,
     published_history,
 )
-from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, FrontCubic, ReportCubic
+from fracflow.laws.cubic_flow import Conductance, ExactCubic, FlowLaw, FrontCubic, ReportCubic
+from fracflow.laws.dilation import dilating, may_dilate
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.rate_and_state import RateAndState
+from fracflow.laws.roughness import PlasticSlip, Roughness
 from fracflow.laws.slip_weakening import SlipWeakening
 
 # a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
@@ -43,7 +45,7 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse",
-    "Key", "LawStep", "Leakage", "Linear", "RateAndState", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
-    "published_history",
+    "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "Conductance", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw",
+    "JointResponse", "Key", "LawStep", "Leakage", "Linear", "PlasticSlip", "RateAndState", "Roughness", "SlipWeakening",
+    "TermLaw", "dilating", "keys_of", "make_law", "may_dilate", "parameters_of", "published_history",
 ]  # fmt: skip

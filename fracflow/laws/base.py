@@ -157,11 +157,14 @@ class JointLaw(Protocol):
         return np.zeros(len(next(iter(new.values()), ())), dtype=bool)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Largest fraction (n,) of the increment (n, dim) that may be taken; inf where there is no limit."""
+        """Largest fraction (n,) of the increment (n, dim) that may be taken from a strain less the dilation there; or inf."""
         return np.full(len(strain), np.inf)
 
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither."""
+        """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither.
+
+        ``strain`` is without the dilation there.
+        """
         return np.full(len(strain), np.inf)
 
     def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:

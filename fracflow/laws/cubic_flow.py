@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, LawStep, Parameter
+from fracflow.laws.roughness import Roughness
 
 
 def _walls(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats]:
@@ -73,10 +74,11 @@ class Conductance:
 class FlowLaw(ABC):
     """Frozen parameters, and a pure function of the walls at both ends of n elements.
 
-    aperture                    (n, 2) d0 [length]
+    aperture                    (n, 2) d0, or the hydraulic aperture w_h0 where one is given [length]
     minimum_hydraulic_aperture  (n, 2) [length]
     length                      (n,) of the elements [length]
     viscosity                   [stress time]
+    roughness                   by which ``Flow.conduct`` turns openings into hydraulic ones; None of walls without keys for it
 
     Parameters of its own, (n, 2), are declared with ``key``: tables of fractures have them, where the scene chooses the law.
 
@@ -88,6 +90,7 @@ class FlowLaw(ABC):
     minimum_hydraulic_aperture: Floats
     length: Floats
     viscosity: float
+    roughness: Roughness | None = field(default=None, kw_only=True)
 
     knows_slip: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ()

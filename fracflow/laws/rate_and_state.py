@@ -303,7 +303,8 @@ def slip_of(local: _Local) -> tuple[Floats, Floats, Floats]:
         new = at - left / np.where(rises, slope, 1.0)
         inside = rises & (new > low[active]) & (new < high[active])
         close = SHARP * (np.abs(at) + here.size / np.where(rises, slope, np.inf))
-        done = (left == 0.0) | (rises & (np.abs(left) <= close * slope)) | (high[active] - low[active] <= close)
+        is_narrow = high[active] - low[active] <= SHARP * np.abs(at)
+        done = (left == 0.0) | (rises & (np.abs(left) <= close * slope)) | is_narrow
         y[active] = np.where(done, at, np.where(inside, new, 0.5 * (low[active] + high[active])))
         active = active[~done]
     _, slope, tau = local.left(y)

@@ -3,7 +3,8 @@
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
-Terms may add entries: on the left, or on the right where their names begin with "work_".
+Terms may add entries: on the left, or on the right where their names begin with "work_". Where joints dilate, ``dilation``
+is the work of walls that ride up against what presses them. It is no summand: the dissipation ``friction`` is less it.
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ STORED = (
 )  # fmt: skip
 WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
+DILATION = "dilation"
 
 
-def empty_balance(terms: Iterable[Term] = ()) -> dict[str, float]:
-    """All entries at zero, those of terms beside the others."""
-    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0))], 0.0)
+def empty_balance(terms: Iterable[Term] = (), dilates: bool = False) -> dict[str, float]:
+    """All entries at zero, those of terms beside the others, and that of joints that dilate."""
+    of_joints = [DILATION] if dilates else []
+    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0)), *of_joints], 0.0)
 
 
 def update_balance(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
@@ -47,9 +50,9 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     sent = ops.joints.radiated(old.sections, new.sections, LawStep(new.time, dt, scheme.inertia))
     work = joint_work(ops.joints.weights, old.sections, new.sections)
     of_joints = ops.layout.comm.allreduce(np.append(work, ops.joints.weights @ sent))
-    parts |= joint_parts(of_joints[:4]) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
-    parts["friction"] -= of_joints[4]
-    parts["radiated"] = parts.get("radiated", 0.0) + of_joints[4]
+    parts |= joint_parts(of_joints[:5]) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
+    parts["friction"] -= of_joints[5]
+    parts["radiated"] = parts.get("radiated", 0.0) + of_joints[5]
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
@@ -142,7 +145,7 @@ def close_initial_balance(totals: Mapping[str, float]) -> dict[str, float]:
 
 
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
-    of_terms = [name for name in totals if name not in ENTRIES]
+    of_terms = [name for name in totals if name not in (*ENTRIES, DILATION)]
     work = [*WORK, *(name for name in of_terms if name.startswith("work_"))]
     stored = [*STORED, *(name for name in of_terms if name not in work)]
     left = sum(totals[name] for name in stored) - sum(totals[name] for name in work)
@@ -166,21 +169,23 @@ def dissipated(before: Sections, after: Sections) -> Floats:
 
 
 def joint_work(weights: Floats, before: Sections, after: Sections) -> Floats:
-    """(2.27) with (2.33b): work (4,) on this rank's sections in a step, normal, elastic shear, plastic; and what they store.
+    """(2.27) with (2.33b): work (5,) on this rank's sections in a step.
 
+    Normal and elastic shear, plastic, what they store, and the work of walls that slip apart against the normal traction.
     weights  (s,) length or area that each stands for
     """
     traction = 0.5 * weights[:, None] * (before.traction + after.traction)
     plastic = traction * (after.inelastic - before.inelastic)
     elastic = traction * (after.strain - before.strain) - plastic
     stored = np.sum(weights * (after.stored - before.stored))
-    return np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
+    return np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored, -plastic[:, -1].sum()])
 
 
 def joint_parts(work: Floats) -> dict[str, float]:
-    """Entries of the balance of that (4,), summed over all ranks; and the closed form of the first two."""
-    normal, shear, friction, closed = work.tolist()
-    return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
+    """Entries of the balance of that (5,), summed over all ranks; and the closed form of the first two."""
+    normal, shear, friction, closed, dilation = work.tolist()
+    found = {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
+    return found | {DILATION: dilation}
 
 
 def fluid_parts(

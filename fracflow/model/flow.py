@@ -6,12 +6,13 @@ Everything is per unit thickness, with the pressure as unknown. Ends: each joint
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, flow
-from fracflow.laws import FLOW_LAWS, FlowLaw, keys_of, parameters_of
+from fracflow.laws import FLOW_LAWS, Conductance, FlowLaw, Roughness, keys_of, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Walls, jump_matrix
@@ -144,16 +145,33 @@ class Flow:
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls, step: TermStep) -> Conduction:
         """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
         opening = self._openings(displacement, walls.opening)
-        found = self.law.conductance(opening, walls.slip, walls.history, walls.step)
-        driving, by_law = self.driving(pressure), np.isnan(self.given)
+        found, driving = self._conductance(opening, walls), self.driving(pressure)
         return Conduction(
-            np.where(by_law, found.value, self.given / self.length),
-            np.where(by_law[:, None], found.by_opening, 0.0),
+            found.value,
+            found.by_opening,
             driving,
             self.compress(self.aperture + opening, driving) if self.compressibility > 0.0 else None,
             self.leaving(driving, self.aperture + opening, step),
-            None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0),
+            found.by_slip,
         )
+
+    def _conductance(self, opening: Floats, walls: Walls) -> Conductance:
+        """Of the law, or what the scene gives in its place; by the hydraulic opening, and by plastic slip where it grows."""
+        rough, by_law = self.law.roughness, np.isnan(self.given)
+        hydraulic = opening if rough is None else rough.ratio * opening
+        found = self.law.conductance(hydraulic, walls.slip, walls.history, walls.step)
+        value = np.where(by_law, found.value, self.given / self.length)
+        slope = np.where(by_law[:, None], found.by_opening, 0.0)
+        by_slip = None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0)
+        if rough is None:
+            return Conductance(value, slope, by_slip)
+        slope = slope * rough.ratio
+        if walls.plastic is None:
+            return Conductance(value, slope, by_slip)
+        factor, by_strain = rough.factor(walls.plastic)
+        with_slip = value[:, None, None] * by_strain
+        by_slip = with_slip[..., :-1] + (0.0 if by_slip is None else factor[:, None, None] * by_slip)
+        return Conductance(factor * value, factor[:, None] * slope + with_slip[..., -1], by_slip)
 
     def leaving(self, driving: Floats, aperture: Floats, step: TermStep) -> Leaving | None:
         """Fluid that leaves by terms at pressures above rest and apertures (j, 2); None without such terms."""
@@ -163,7 +181,10 @@ class Flow:
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
         by_law = np.isnan(self.given)[:, None]
-        return (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & by_law
+        rough, wide = self.law.roughness, self.apertures(displacement, opening)
+        if rough is not None:
+            wide = rough.aperture + rough.ratio * (wide - self.aperture)
+        return (self.least > 0.0) & (wide < self.least) & by_law
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
         """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
@@ -231,7 +252,8 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     jump = jump_matrix(blocks, natural, expand)
     opening = normal.matMult(jump)
     normal.destroy()
-    slipping = _along(jump, dim) if FLOW_LAWS[scene.method.conductance].knows_slip else None
+    grows = any(scene.fracture_named(name).conducts_by_slip for name in block.fractures)
+    slipping = _along(jump, dim) if grows or FLOW_LAWS[scene.method.conductance].knows_slip else None
     jump.destroy()
 
     pick = create_matrix((end_layout, node_layout), 1, comm)
@@ -279,12 +301,16 @@ def flow_law(blocks: Blocks, scene: Scene, aperture: Floats, least: Floats, leng
     """The law that the scene chooses, its own parameters as arrays (j, 2) at the joint ends."""
     assert scene.fluid is not None
     kind = FLOW_LAWS[scene.method.conductance]
-    own = {}
+    own: dict[str, Any] = {}
     for each in parameters_of(kind):
         if each.name in keys_of(kind):
             given = along_fractures(blocks, scene, each.name, np.array([-1.0, 1.0]))
             own[each.name] = given if each.default is MISSING else np.where(np.isnan(given), each.default, given)
-    return kind(aperture, least, length, scene.fluid.viscosity, **own)
+    if not any(scene.fracture_named(name).is_rough for name in blocks.joints.fractures):
+        return kind(aperture, least, length, scene.fluid.viscosity, **own)
+    keys = ("hydraulic", "hydraulic_opening_ratio", "slip_conductance", "slip_conductance_distance")
+    rough = Roughness(*(along_fractures(blocks, scene, key, np.array([-1.0, 1.0])) for key in keys))
+    return kind(rough.aperture, least, length, scene.fluid.viscosity, roughness=rough, **own)
 
 
 def _along(jump: PETSc.Mat, dim: int) -> PETSc.Mat:

@@ -15,7 +15,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError, SolveError
-from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, parameters_of
+from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
@@ -99,12 +99,13 @@ class Massless:
 
 @dataclass(frozen=True)
 class Walls:
-    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
+    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), and step."""
 
     opening: Floats | None
     slip: Floats
     history: Mapping[str, Floats]
     step: LawStep
+    plastic: PlasticSlip | None = None
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,11 @@ class Joints:
     def points(self) -> int:
         """Sections of a joint."""
         return len(self.natural)
+
+    @property
+    def dilate(self) -> bool:
+        """Whether slip opens any of them, on any rank."""
+        return any("dilation" in group.law.history for group in self.laws)
 
     def initial_history(self) -> SectionHistory:
         """Histories of all laws at the initial state."""
@@ -170,7 +176,16 @@ class Joints:
         """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""
         slip = self._next_to_ends(sections.strain[:, :-1]) if law.knows_slip else np.zeros((0, 2, self.dim - 1))
         history = {name: self._next_to_ends(self.history(sections.history, name)) for name in law.reads}
-        return Walls(self.openings(sections.strain), slip, history, step)
+        grows = law.roughness is not None and law.roughness.grows
+        return Walls(self.openings(sections.strain), slip, history, step, self._plastic(sections) if grows else None)
+
+    def _plastic(self, sections: Sections) -> PlasticSlip:
+        """That next to the joint ends."""
+        k_s = np.full(len(self.weights), np.nan)
+        for group in (group for group in self.laws if group.law.slides):
+            k_s[group.sections] = getattr(group.law, "shear_stiffness", np.nan)
+        found = PlasticSlip.of(sections.inelastic[:, :-1], sections.tangent[:, :-1], k_s)
+        return PlasticSlip(self._next_to_ends(found.slip), self._next_to_ends(found.by_strain))
 
     def _next_to_ends(self, values: Floats) -> Floats:
         return values.reshape(-1, self.points, *values.shape[1:])[:, [0, -1]]
@@ -226,21 +241,24 @@ class Joints:
                 changed[group.sections] = group.law.has_changed(before, after)
         return changed
 
-    def step_limit(self, strain: Floats, increment: Floats) -> float:
-        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1."""
+    def step_limit(self, strain: Floats, increment: Floats, sections: Sections) -> float:
+        """Largest fraction of an increment (s, dim) that every law of this rank allows after ``sections``; at most 1."""
+        strain = sections.less_dilation(strain)
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
-    def may_close(self, strain: Floats) -> Floats:
+    def may_close(self, strain: Floats, sections: Sections) -> Floats:
         """How far (s,) the law of each section lets it close in an iteration; inf where closure has no end [length]."""
+        strain = sections.less_dilation(strain)
         closing, result = np.zeros_like(strain), np.zeros(len(strain))
         closing[:, -1] = -1.0
         for group in self.laws:
             result[group.sections] = group.law.step_limit(strain[group.sections], closing[group.sections])
         return result
 
-    def change_at(self, strain: Floats, increment: Floats) -> float:
+    def change_at(self, strain: Floats, increment: Floats, sections: Sections) -> float:
         """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
+        strain = sections.less_dilation(strain)
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
@@ -336,7 +354,14 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
                 given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]
-        groups.append(LawGroup(sections, make_law(name, **given)))
+        law = make_law(name, **given)
+        if any(table.law == name and table.dilates for table in tables):
+            angle, distance = (
+                along_fractures(blocks, scene, key, natural).ravel()[sections]
+                for key in ("dilation_angle_deg", "dilation_distance")
+            )
+            law = dilating(law, angle, distance)
+        groups.append(LawGroup(sections, law))
     return tuple(groups)
 
 

@@ -72,6 +72,12 @@ class Sections:
     record: Floats
     history: SectionHistory
 
+    def less_dilation(self, strain: Floats) -> Floats:
+        """Strains (s, dim) less the opening that slip has brought."""
+        elastic = strain.copy()
+        elastic[:, -1] -= self.inelastic[:, -1]
+        return elastic
+
 
 @dataclass(frozen=True)
 class Forces:

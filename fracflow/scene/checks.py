@@ -213,6 +213,9 @@ def _materials(scene: Tables) -> Iterator[Fault]:
                 ("fracture", name, "aperture"),
                 "missing; a fluid with compressibility needs the volume it fills: give it",
             )
+        if fracture.dilates and scene.method.tangent == "decoupled":
+            why = 'contradicts method.tangent = "decoupled", which has no change of normal traction by slip; use "consistent"'
+            yield ("fracture", name, "dilation_angle_deg"), why
         for key, fault in check_flow(scene.method.conductance, vars(fracture)) if scene.has_flow else ():
             yield ("fracture", name, key), fault
         if fracture.pressure is not None and not scene.has_flow:

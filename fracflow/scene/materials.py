@@ -9,7 +9,16 @@ from pydantic import AfterValidator, Field, StrictBool, create_model, model_vali
 
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene import units
-from fracflow.scene.laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
+from fracflow.scene.laws import (
+    Property,
+    check,
+    check_dilation,
+    check_order,
+    defaults,
+    describe_laws,
+    known_law,
+    law_fields,
+)
 from fracflow.scene.method import Size, Stress, Table
 from fracflow.scene.profiles import Along, AlongInTime, Pressures, Profile
 from fracflow.scene.units import Quantity, fault
@@ -128,6 +137,10 @@ class _Joint(Table):
     """aperture below which the conductance falls no further [length]"""
     friction_angle_deg: Annotated[Property | None, _along(units.ANGLE, at_least=0.0, below=90.0)] = None
     """arctan of friction_coefficient, in place of it [degree]"""
+    dilation_angle_deg: Annotated[Property, _along(units.ANGLE, at_least=0.0, below=90.0)] = 0.0
+    """psi, by whose tangent walls that begin to slip ride up on each other; of a law with friction [degree]"""
+    dilation_distance: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
+    """d, slip over which the tangent of that angle falls to zero, in proportion to the slip [length]"""
 
 
 class LeakOff(Table):
@@ -149,6 +162,14 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     """f_s0 [force/length**2]; else from initial_stress (2.14)"""
     conductance: Annotated[Property | None, _along(units.CONDUCTANCE, above=0.0)] = None
     """flow per thickness and pressure gradient [length**5/(force*time)], in place of the cubic law"""
+    hydraulic_aperture: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
+    """w_h0, aperture of the cubic law at the initial state; else aperture. Volumes are those of aperture [length]"""
+    hydraulic_opening_ratio: Annotated[Property, _along(above=0.0)] = 1.0
+    """f of w_h = w_h0 + f (w - w_0), hydraulic against mechanical opening [1]"""
+    slip_conductance: Annotated[Property, _along(above=0.0)] = 1.0
+    """m, conductance after much plastic slip s over that without: it is m - (m - 1) exp(-s/L) times as large [1]"""
+    slip_conductance_distance: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
+    """L, slip over which the conductance grows to that [length]"""
     pressure: Annotated[Pressures | None, AlongInTime(units.STRESS)] = None
     """pressure prescribed in the whole fracture: a number, [[t, p], ...], {along, value} or {along, time, value}
     [force/length**2]"""
@@ -159,11 +180,49 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
         check(self.law, vars(self))
+        check_dilation(self.law, self.dilates, self.dilation_distance is not None)
         for name, value in defaults(self.law).items():
             if getattr(self, name) is None:
                 self.__dict__[name] = value  # so that the table that is written back says it
+        self._check_conduction()
         check_order(self.law, {**vars(self), "friction_coefficient": self.friction})
         return self
+
+    def _check_conduction(self) -> None:
+        """Raise the fault of keys of conduction that contradict each other, or miss one."""
+        ratio = self.hydraulic_opening_ratio
+        for key, given in (
+            ("hydraulic_aperture", self.hydraulic_aperture is not None),
+            ("hydraulic_opening_ratio", isinstance(ratio, Profile) or ratio != 1.0),
+        ):
+            if given and self.conductance is not None:
+                raise fault("contradicts conductance, which is in place of the cubic law; remove one", key=key)
+        if self.conducts_by_slip and self.slip_conductance_distance is None:
+            raise fault("missing; slip_conductance needs it: give a slip", key="slip_conductance_distance")
+
+    @property
+    def hydraulic(self) -> Property | None:
+        """The hydraulic aperture at the initial state, w_h0 [length]."""
+        return self.aperture if self.hydraulic_aperture is None else self.hydraulic_aperture
+
+    @property
+    def conducts_by_slip(self) -> bool:
+        """Whether slip changes its conductance anywhere."""
+        return isinstance(self.slip_conductance, Profile) or self.slip_conductance != 1.0
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether it conducts otherwise than by its mechanical aperture alone."""
+        ratio = self.hydraulic_opening_ratio
+        is_ratio = isinstance(ratio, Profile) or ratio != 1.0
+        return self.hydraulic_aperture is not None or is_ratio or self.conducts_by_slip
+
+    @property
+    def dilates(self) -> bool:
+        """Whether slip opens it anywhere."""
+        angle = self.dilation_angle_deg
+        given = max(angle.values) if isinstance(angle, Profile) else angle
+        return given > 0.0 and not JOINT_LAWS[self.law].passes_over
 
     @property
     def leak_permeability(self) -> float:

@@ -71,6 +71,10 @@ def _aperture(scene: Any, fractures: Sequence[Any]) -> str:
     return "" if scene.has_flow or given else "{where} is given none"
 
 
+def _dilation(scene: Any, fractures: Sequence[Any]) -> str:
+    return "" if any(table.dilates for table in fractures) else "{where} has no dilation_angle_deg"
+
+
 def _history(name: str) -> Missing:
     def missing(scene: Any, fractures: Sequence[Any]) -> str:
         known = fractures and all(name in JOINT_LAWS[table.law].history for table in fractures)
@@ -136,6 +140,8 @@ _ROWS = (
     Q("acceleration", ACCELERATION, "node", of("acceleration"), "of the rock; on a fracture, of its top wall", "vector",
       field=False, drawn=False),
     Q("slip", LENGTH, "section", lambda at: at.sections.strain[..., :-1], "tangential jump, top minus bottom", "shear"),
+    Q("dilation", LENGTH, "section", lambda at: at.sections.inelastic[..., -1], "part of the opening that slip has brought",
+      missing=_dilation),
     Q("plastic_slip", LENGTH, "section", lambda at: at.sections.inelastic[..., :-1], "slip less its elastic part", "shear"),
     Q("slip_rate", VELOCITY, "section", lambda at: at.rate[..., :-1], "rate of the slip at the instant", "shear"),
     Q("opening", LENGTH, "section", lambda at: at.sections.strain[..., -1], "normal jump, positive apart"),

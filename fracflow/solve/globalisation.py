@@ -132,9 +132,10 @@ def reset_cycling(problem: StepProblem, before: Floats, changing: Bools) -> bool
     change.setArray(here - before)
     strains = joints.strain(change)
     change.destroy()
-    first = joints.change_at(problem.sections.strain, strains * changing[:, None])
+    now = problem.sections
+    first = joints.change_at(now.strain, strains * changing[:, None], now)
     fraction = comm.allreduce(first, op=MPI.MIN) * (1.0 + JUST_PAST)
-    allowed = joints.step_limit(problem.sections.strain, fraction * strains) if np.isfinite(fraction) else 0.0
+    allowed = joints.step_limit(now.strain, fraction * strains, now) if np.isfinite(fraction) else 0.0
     if comm.allreduce(allowed, op=MPI.MIN) < 1.0:
         return False
     problem.move(here + fraction * (here - before))

@@ -279,7 +279,8 @@ class Newton:
         self._step = change.norm()
         strains = joints.strain(change)
         change.destroy()
-        return strains, layout.comm.allreduce(joints.step_limit(self.problem.sections.strain, strains), op=MPI.MIN)
+        sections = self.problem.sections
+        return strains, layout.comm.allreduce(joints.step_limit(sections.strain, strains, sections), op=MPI.MIN)
 
     def _hold_conductances(self, problem: StepProblem, step: PETSc.Vec) -> None:
         """Make the step anew with the conductances as they are. Collective.
@@ -311,7 +312,8 @@ class Newton:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
         comm, middle, start = self.matrix.layout.comm, self.matrix.layout.solid_count, problem.sections.strain
         trial, balance = unknowns.duplicate(), self.balance.duplicate()
-        change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
+        joints = self.matrix.operators.joints
+        change = comm.allreduce(joints.change_at(start, strains, problem.sections), op=MPI.MIN)
 
         def at(fraction: float) -> None:
             trial.waxpy(-fraction, step, unknowns)

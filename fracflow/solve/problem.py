@@ -192,7 +192,7 @@ class StepProblem:
         self._is_followed = None
         if self._is_blurred:
             joints, slack = self.operators.joints, UNIT_ROUND_OFF * self.operators.joints.moved(self.increment)
-            is_narrow = slack[:, -1] > BLURRED * joints.may_close(self._known)
+            is_narrow = slack[:, -1] > BLURRED * joints.may_close(self._known, self.state.sections)
             self._is_followed = is_narrow[:, None] & (np.abs(self._known - strain) <= SAME_TRIAL * slack)
             strain = np.where(self._is_followed, self._known, strain)
         self._known = strain

@@ -307,7 +307,7 @@ class SectionSolver:
             if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual and iteration >= least:
                 return change, SectionReport(iteration, worst / moved if moved > 0.0 else 0.0, flow)
             step = self._step(problem, rows, slopes, share)
-            allowed = comm.allreduce(joints.step_limit(before.strain + change, step), op=MPI.MIN)
+            allowed = comm.allreduce(joints.step_limit(before.strain + change, step, before), op=MPI.MIN)
             change = change + allowed * step
         stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
         where = fractures_of(self.operators.blocks, stuck) or "the network"

@@ -78,6 +78,29 @@ def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
     problem.destroy()
 
 
+def test_jacobian_of_rough_walls_that_ride_up():
+    """Slip opens joints, hydraulic apertures follow by half, and conductances grow with plastic slip; all joints slide."""
+    table = {
+        "dilation_angle_deg": 10, "dilation_distance": "'1 m'", "hydraulic_opening_ratio": 0.5, "slip_conductance": 5,
+        "slip_conductance_distance": "'1 mm'",
+    }  # fmt: skip
+    sets = [f"fracture.default.{key}={value}" for key, value in table.items()]
+    scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent", *sets])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = equilibrium_state(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(Newmark().alphas(1e-3)),
+    )
+    way = np.ones((len(state.sections.strain), 1))
+    problem.trial_status = tuple({**past, "sliding": way[: len(past["sliding"])]} for past in state.sections.history)
+    check_around(scene, problem, random)
+    assert problem.sections.is_sliding.any() and problem.conduction.by_slip.any()
+    problem.destroy()
+
+
 class Seeps(Term):
     """Fluid leaves with the square of its pressure over some size, and with the aperture, as fast as walls sweep it."""
 

@@ -65,7 +65,7 @@ class JointSolver:
         while since <= self.most:
             total, since = total + 1, since + 1
             correction = self._correction(left, moduli)
-            limit = joints.step_limit(before.strain + change, correction)
+            limit = joints.step_limit(before.strain + change, correction, before)
             change = change + (limit if self._is_alone else comm.allreduce(limit, op=MPI.MIN)) * correction
             found = joints.evaluate(before.strain + change, status, step)
             changed = joints.have_changed(status, found.history)

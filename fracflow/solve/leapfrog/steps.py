@@ -60,7 +60,7 @@ class BalanceSums:
 
     scheme, boundaries   see ``integrators.explicit.scheme_energy``, and the work of what is held and of loads that change
     taken, brought       of terms by their names
-    joints               (4,) see ``model.energy.joint_work``
+    joints               (5,) see ``model.energy.joint_work``
     """
 
     scheme: float
@@ -134,7 +134,7 @@ class Run:
         self.powers = dict(forces.powers)
         self.a, self.held_at = rock.a[nodes.places], rock.u[nodes.places[nodes.at_held]]
         self.own_speed = rock.v[nodes.places[nodes.at_own]]
-        self.balance = BalanceSums(0.0, 0.0, {}, {}, np.zeros(4))
+        self.balance = BalanceSums(0.0, 0.0, {}, {}, np.zeros(5))
         rock.start(dt)
 
     def _take_loads(self, state: State) -> None:
