@@ -147,12 +147,3 @@ def test_two_ranks_agree(folder):
     steps = len(two["time"])
     assert steps > 15 and np.array_equal(one["time"][:steps], two["time"])
     assert two["probe/middle/sliding_rate"] == pytest.approx(one["probe/middle/sliding_rate"][:steps], rel=1e-6)
-
-
-def test_rates_that_span_decades_have_a_logarithmic_axis(folder):
-    from fracflow.output.pictures import _probes
-    from fracflow.output.reader import load_run_data
-
-    panels = {axes.get_title(loc="left"): axes for axes in _probes(load_run_data(folder / "slow")).axes}
-    assert panels["Sliding rate"].get_yscale() == "log" and panels["State"].get_yscale() == "linear"
-    assert panels["Sliding rate"].get_ylim()[0] > 0.0
