@@ -98,10 +98,13 @@ def longest_joints(view: CheckInput) -> dict[str, Floats]:
     """The longest joints (j,) that resolve each length of slip, as the pre-run checks demand; inf where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
+        evolves, nucleates = _state_lengths(view)
         limits = {
             f"E'/k_s / {1.0 / RESOLVED:g}": drops,
             f"nucleation length / {PATCH:g}": nucleation_lengths(view) / PATCH,
             f"cohesive zone / {ZONE:g}": _lengths(view, COHESIVE, 1.0) / ZONE,
+            f"L_b of rate-and-state friction / {STATE:g}": evolves / STATE,
+            f"h* of rate-and-state friction / {NUCLEUS:g}": nucleates / NUCLEUS,
         }
     return {name: np.where(np.isnan(sizes), np.inf, sizes).min(axis=1) for name, sizes in limits.items()}
 

@@ -26,7 +26,7 @@ from fracflow.output.drawing.network_map import (
 from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
 from fracflow.output.reader import RunData, load_run_data
 from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
-from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS
+from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, VELOCITY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +51,7 @@ _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once show no place of the onset
 _LEAST_SLIP = 1e-6  # of the largest, that is drawn
 _WIDEST = 6.0  # line of slip [points]
+_DECADES = 3.0  # of positive rates, from which on their axis is logarithmic
 _WIDE = 10.0  # figure [inches]: letters are read where a page is 760 pixels wide
 
 
@@ -209,11 +210,21 @@ def _draw_lines(
     axes.margins(x=0.0)
     axes.set_xlabel(x_label)
     axes.set_ylabel(scale.label(word))
-    plain_numbers(axes)
+    if dimension == VELOCITY and not scale.is_constant and _spans_decades([lines[name][span] for name in shown]):
+        axes.set_yscale("log")
+        plain_numbers(axes, "x")
+    else:
+        plain_numbers(axes)
     ends = [(name, float(np.nan_to_num(values[-1]))) for name, values in drawn.items()]
     if scale.is_constant:
         _draw_constant(axes, [value for _, value in ends])
     _name_ends(axes, ends, scale.unit if scale.is_constant else None)
+
+
+def _spans_decades(lines: Sequence[Floats]) -> bool:
+    """Whether values are all positive and span so many decades that a straight axis would show the largest ones alone."""
+    known = np.concatenate([line[np.isfinite(line)] for line in lines])
+    return bool(known.size and known.min() > 0.0 and np.log10(known.max() / known.min()) >= _DECADES)
 
 
 def _draw_constant(axes: Axes, values: list[float]) -> None:
@@ -230,8 +241,8 @@ def _name_ends(axes: Axes, ends: list[tuple[str, float]], unit: str | None = Non
 
     unit  say the values too, in this unit
     """
-    low, high = axes.get_ylim()
-    heights = [(value - low) / (high - low) for _, value in ends]
+    upright = axes.transData - axes.transAxes
+    heights = [float(upright.transform((axes.get_xlim()[1], value))[1]) for _, value in ends]
     groups: list[list[int]] = []
     for i in sorted(range(len(ends)), key=heights.__getitem__):
         if groups and heights[i] - heights[groups[-1][0]] < 0.01:

@@ -20,8 +20,8 @@ EXACT = 1e-9  # bars up to this are of round-off
 BOOKS = "energy balance"
 PANELS = {
     "R02": "R02 stick-slip oscillator", "R03": "R03 waves through a joint", "R05": "R05 diffusion in a joint that opens",
-    "R06": "R06 Wijesinghe", "R07": "R07 cracks", "R08": "R08 slip by injection (Viesca)", "R": "R04, R11, R16 KGD, R17 T",
-    "exact": "To round-off",
+    "R06": "R06 Wijesinghe", "R07": "R07 cracks", "R08": "R08 slip by injection (Viesca)",
+    "R": "R04, R11, R16 KGD, R17 T, R19 slider", "exact": "To round-off",
 }  # fmt: skip
 MARKS = "osv^D"
 SIGNS = dict(zip(MARKS, "●■▼▲◆", strict=True))
@@ -36,7 +36,7 @@ def main() -> int:
     given = parser.parse_args()
     chosen = [case for case in CASES if case.name.startswith(tuple(given.only))]
     if not chosen:
-        parser.error(f"no case begins with {' '.join(given.only)}; they are R01 to R18")
+        parser.error(f"no case begins with {' '.join(given.only)}; they are R01 to R19")
     outcomes = [outcome for case in chosen for outcome in measure(case)]
     given.output.mkdir(parents=True, exist_ok=True)
     write(outcomes, given.output / "verification.csv")

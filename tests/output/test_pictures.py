@@ -165,3 +165,10 @@ def test_a_panel_shows_what_changes(tmp_path):
 def test_an_empty_folder_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match=r"history\.h5"):
         draw(tmp_path)
+
+
+def test_rates_over_three_decades_have_a_logarithmic_axis():
+    from fracflow.output.pictures import _spans_decades
+
+    assert _spans_decades([np.array([1e-9, np.nan, 2e-6])]) and _spans_decades([np.array([1e-9]), np.array([2e-6])])
+    assert not _spans_decades([np.array([1e-9, 5e-7])]) and not _spans_decades([np.array([0.0, 1e-9, 2e-6])])

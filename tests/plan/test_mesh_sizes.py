@@ -265,3 +265,14 @@ def test_rock_that_coarsens_fast_beside_a_fracture_that_weakens_is_told():
     written = Scene.from_data(weakens.model_dump(exclude_none=True))  # a growth left open stays so in what is written
     assert sized(weakens).geometry.growth == sized(written).geometry.growth == 0.1
     assert sized(scene_of([[[30, 50], [70, 50]]], geometry=sizes)).geometry.growth == 0.3
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("evolution, least, why", [(0.015, 1.185, "L_b"), (0.02, 0.679, "h*")])
+def test_joints_resolve_the_lengths_of_rate_and_state(evolution, least, why):
+    """A third of L_b = mu* D_c/(b sigma), a tenth of h* = 2/pi L_b (b/(b - a))^2; mu* is 5.33 GPa, sigma 10 MPa."""
+    state = dict(law="rate-and-state", reference_slip_rate=1e-6, direct_effect=0.01, evolution_effect=evolution)
+    state |= dict(characteristic_slip=1e-4, initial_slip_rate=1e-9)
+    found = sized(scene_of([[[20, 50], [80, 50]]], fracture=state))
+    assert found.geometry.size_at_fractures == pytest.approx(least, rel=0.01)
+    assert any("size_at_fractures" in line and f"{why} of rate-and-state" in line for line in found.notes)
