@@ -28,6 +28,7 @@ from fracflow.output.history import read_history
 from fracflow.output.remarks import marked
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
+from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.advice import advice
@@ -97,7 +98,7 @@ def _begun(
 ) -> _Begun:
     """A new run on a ``mesh``, without reductions undone by an earlier try. Raises ReductionInvalid too. Collective."""
     began = clock.perf_counter()
-    model = prepare(scene, comm, mesh)
+    model = prepare(scene, comm, mesh, undone=undone)
     refuse_imbalance(model)
     model, facts = planned(model, undone)
     state = equilibrium_state(model)
@@ -148,7 +149,7 @@ def resume(
         arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
         cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
-        model = prepare(scene, comm, mesh, cell_rank, begins=False)
+        model = prepare(scene, comm, mesh, cell_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)
         with restoring(saved):
@@ -273,6 +274,7 @@ def _steps(
                         recorder.totals.spend(stepping.work)
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
+                        watch_sides(stepping.model, step.state)
                         if recorder.slipping_and_open is not None:
                             observer.sections(*recorder.slipping_and_open)
                         observer(step)
