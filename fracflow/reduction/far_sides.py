@@ -113,7 +113,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
 
 
 def assessed(scene: Scene) -> FarSides | None:
-    """What speaks for and against the sides of a scene; None where it has none, or states all that it wants modelled."""
+    """Whether a scene may do without its sides; None where it has none, or states all that it wants modelled."""
     if scene.geometry is None or scene.is_unbounded or not scene.geometry.fracture or scene.model != "default":
         return None
     if why := why_meshed(scene):
