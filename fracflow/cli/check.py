@@ -55,7 +55,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
         count = stage.step_count(start) or 0
         steps, start = steps + count, stage.finish(start)
     blocks = model.operators.blocks
-    held = held_walls(blocks) if scene.is_unbounded else blocks.solid.unused
+    held = held_walls(blocks) if model.scene.is_unbounded else blocks.solid.unused
     found = {
         **summary(model.mesh),
         "displacement unknowns": int(layout.solid_starts[-1]) - len(held),
@@ -67,7 +67,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     pays = break_even(unknowns, sections)
     if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
         found["steps from which a condensed rock pays"] = pays
-    card, notes = pre_run_checks(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    card, notes = pre_run_checks(model.stated, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
     network = _network(model)
     model, facts = planned(model)
     found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))

@@ -8,6 +8,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats
 from fracflow.model import unbounded
 from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
@@ -71,6 +72,14 @@ class Operators:
         result = self.expand.createVecLeft()
         self.expand.mult(unknowns, result)
         return result
+
+    def gathered(self, unknowns: PETSc.Vec) -> Floats | None:
+        """The same of all nodes (n, dim), on rank 0. Collective."""
+        solids, sizes = self.blocks.solid, self.blocks.sizes
+        nodal = self.nodal(unknowns)
+        local = nodal.getArray(readonly=True).reshape(-1, sizes.dim)[: solids.owned].copy()
+        nodal.destroy()
+        return self.blocks.gather(solids.node_ids[: solids.owned], local, sizes.nodes)
 
 
 def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Mat) -> Scales:

@@ -75,12 +75,28 @@ class SlowLoads:
 
 
 @dataclass(frozen=True)
+class FarSides:
+    """Whether the rock is run without its sides, and without a mesh.
+
+    error   that leaving them out may cause; 0 where it was not asked [1]
+    faster  how many times a factorisation is then
+    why     they are kept; empty where they may be left out
+    """
+
+    error: float = 0.0
+    faster: float = 1.0
+    why: str = ""
+
+
+@dataclass(frozen=True)
 class Model:
     """A scene made ready: ``mesh`` is on rank 0 only.
 
-    stated  the scene as its file has it, where ``scene`` is a reduced one
-    whole   the model with the fractures that are ``locked``; None where none is
-    slow    stages auto, by their numbers, that take the place of dynamic ones
+    stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
+    bounded  the scene as its file has it, where its sides are left out
+    sides    whether they are; None of a scene that does not let the program choose
+    whole    the model with the fractures that are ``locked``; None where none is
+    slow     stages auto, by their numbers, that take the place of dynamic ones
     """
 
     scene: Scene
@@ -92,6 +108,8 @@ class Model:
     whole: Model | None = None
     locked: tuple[str, ...] = ()
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
+    bounded: Scene | None = None
+    sides: FarSides | None = None
 
     @property
     def stated_mesh(self) -> SplitMesh:

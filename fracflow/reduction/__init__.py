@@ -5,6 +5,7 @@ A part whose omission would save no work stays: the record says so. The decision
 flow       the pressures; what walls that move do to them; storage of fractures; compressibility; inertia of the fluid
 inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens
 tied       locked fractures, which can neither slip, open nor conduct; the run begins anew with them where one might
+sides      of the rock where they are far, and with them its mesh; the run begins anew with them where they matter
 parts      of the rock, which nothing loads; exact
 solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
 outputs    fields of steps that are not requested; rock beyond absorbing sides
@@ -18,6 +19,7 @@ from dataclasses import asdict, replace
 from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
+from fracflow.reduction.far_sides import decide_sides
 from fracflow.reduction.inertia import decide_inertia
 from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations
@@ -51,7 +53,7 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
-    decide_inertia, decide_locked, decide_parts, solver.new_factors, solver.condensed_rock, fields, far_field,
+    decide_inertia, decide_sides, decide_locked, decide_parts, solver.new_factors, solver.condensed_rock, fields, far_field,
 )  # fmt: skip
 
 

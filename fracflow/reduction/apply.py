@@ -37,7 +37,7 @@ def planned(
         model = tied(model, shut.names, cell_rank)
         refuse_imbalance(model)
     model, parts = without_idle(model)
-    facts = replace(reduction_input(model), locked=shut, parts=parts, undone=undone)
+    facts = replace(reduction_input(model), locked=shut, parts=parts, sides=model.sides, undone=undone)
     slow = {number: SlowLoads(facts.tolerance, key_of(number, stage)) for number, stage in slow_stages(facts).items()}
     return replace(model, scene=reduced(facts), slow=slow), facts
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 
 from fracflow.diagnostics.number import Number
+from fracflow.model.setup import FarSides
 from fracflow.scene.scene import Scene
 
 TOLERANCE = 1e-2  # where a scene states none
@@ -84,6 +85,7 @@ class ReductionInput:
     card        numbers of the pre-run checks by their names; on rank 0 only
     locked      fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
+    sides       whether the rock is run without its sides; None where that is not for the plan
     undone      what was taken back in an earlier try of the run: "part, stage" -> when and why
     """
 
@@ -99,6 +101,7 @@ class ReductionInput:
     card: Mapping[str, Number] = field(default_factory=dict)
     locked: LockedFractures = LockedFractures()
     parts: UnloadedBlocks = UnloadedBlocks()
+    sides: FarSides | None = None
     undone: Mapping[str, str] = field(default_factory=dict)
 
     def with_card(self, numbers: Sequence[Number]) -> ReductionInput:

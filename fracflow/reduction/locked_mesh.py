@@ -164,7 +164,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
     mesh = on_root(comm, lambda: None if whole is None else merged_faces(whole, _chosen(whole, names)))
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names)
+    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names, sides=model.sides)
 
 
 def watch_locked(model: Model, state: State) -> None:
@@ -176,7 +176,7 @@ def watch_locked(model: Model, state: State) -> None:
     if whole is None:
         return
     blocks, joints = whole.operators.blocks, whole.operators.joints
-    motion = _displacement(model, state)
+    motion = model.operators.gathered(state.motion.displacement)
     added = blocks.comm.bcast(None if motion is None else _added(model, motion))  # (f, side, dim)
     names = blocks.joints.fractures
     found = np.zeros(len(names))
@@ -187,15 +187,6 @@ def watch_locked(model: Model, state: State) -> None:
     if found.max() > USE:
         use, name = float(found.max()), names[int(found.argmax())]
         raise ReductionInvalid(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
-
-
-def _displacement(model: Model, state: State) -> Floats | None:
-    """Displacement (n, dim) of all nodes on rank 0. Collective."""
-    ops, solids = model.operators, model.operators.blocks.solid
-    nodal = ops.nodal(state.motion.displacement)
-    local = nodal.getArray(readonly=True).reshape(-1, ops.blocks.sizes.dim)[: solids.owned].copy()
-    nodal.destroy()
-    return ops.blocks.gather(solids.node_ids[: solids.owned], local, ops.blocks.sizes.nodes)
 
 
 def _added(model: Model, motion: Floats) -> Floats:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 from fracflow._petsc import MPI, PETSc, timed
-from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
+from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
 from fracflow.reduction.mesh_size import proposed, unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults
+
+NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def read_split(scene: Scene) -> SplitMesh:
@@ -40,17 +44,27 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
 
 @timed("FracSetUp", "Set up")
 def prepare(
-    scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None, begins: bool = True
+    scene: Scene,
+    comm: MPI.Comm,
+    saved: SplitMesh | None = None,
+    cell_rank: Ints | None = None,
+    begins: bool = True,
+    undone: Mapping[str, str] = NONE,
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
     saved, cell_rank  mesh and partition (cells,) of an earlier run, on rank 0
     begins            whether the run begins, and notes list the lengths that its mesh does not resolve
+    undone            decisions that an earlier try of the same run has undone
     """
     with naming(scene):
         PETSc.garbage_cleanup(comm)  # models of earlier runs: on several ranks petsc4py only sets them aside
         set_defaults(scene.petsc)
-        return _prepare(scene, comm, saved, cell_rank, begins)
+        sides = assessed(scene)
+        if not comm.bcast(on_root(comm, lambda: is_left_out(sides, saved, undone)), root=0):
+            saved = saved if saved is None or is_unmeshed(saved.cells) == scene.is_unbounded else None
+            return replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides)
+        return replace(_prepare(without_sides(scene), comm, saved, cell_rank, begins), sides=sides, bounded=scene)
 
 
 def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:

@@ -249,7 +249,7 @@ class Files:
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
         self.measured = measured(model.scene, model.mesh, model.placed.probes)
         before = None if notes is None else Before(folder, notes)  # before anything is cut back
-        scene = model.stated.dump_toml(folder.resolve())
+        scene = (model.bounded or model.stated).dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
             self._open(model, facts, notes, scene, before)

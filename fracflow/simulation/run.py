@@ -27,6 +27,7 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
+from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.remarks import marked, note
@@ -97,7 +98,7 @@ def _begun(
 ) -> _Begun:
     """A new run on a ``mesh``, without reductions undone by an earlier try. Raises ReductionInvalid too. Collective."""
     began = clock.perf_counter()
-    model = prepare(scene, comm, mesh)
+    model = prepare(scene, comm, mesh, undone=undone)
     refuse_imbalance(model)
     model, facts = planned(model, undone)
     state = equilibrium_state(model)
@@ -151,7 +152,7 @@ def resume(
         is_as_before = notes["ranks"] == comm.size
         cell_rank = on_root(comm, lambda: arrays.array("cell_rank") if arrays and is_as_before else None)
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
-        model = prepare(scene, comm, mesh, cell_rank, begins=False)
+        model = prepare(scene, comm, mesh, cell_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)
         with restoring(saved):
@@ -276,6 +277,7 @@ def _steps(
                         recorder.totals.spend(stepping.work)
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
+                        watch_sides(stepping.model, step.state)
                         if recorder.slipping_and_open is not None:
                             observer.sections(*recorder.slipping_and_open)
                         observer(step)

@@ -1,0 +1,192 @@
+"""Sides that are far: a bounded rock whose fractures do not feel its sides is run without these, and without a mesh.
+
+The stress that a fracture of half length a sheds falls as (a/r)^2, SHED to 1.5 times its own change of stress (Sneddon 1946).
+A side that is held answers by about the stress that reaches it, which is the error of leaving it out. Before a run it follows
+from lengths. In each step it follows from the jumps D that are there: the largest principal stress that they make along the
+sides, over the change of stress along the fractures, which is int D.t/int |D|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from fracflow.elements import dislocation
+from fracflow.errors import ReductionInvalid
+from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
+from fracflow.mesh.plane.traces import polygon_area
+from fracflow.mesh.read import GROWTH, side_names
+from fracflow.model.setup import FarSides, Model
+from fracflow.model.state import State
+from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
+from fracflow.reduction.mesh_size import ACROSS, MOST_JOINTS, cell_count, typical_length
+from fracflow.scene.quantities import probed
+from fracflow.scene.scene import Scene
+from fracflow.solve.rock_cost import direct
+
+PART = "sides and mesh of the rock"
+CRITERION = "stress of all fractures on the sides, over the change of stress along them"
+SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fracture, in the mean of all directions
+ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: at most, as random scenes show
+PLACES = 16  # along a side, where stresses are looked at
+PER_FRACTURE = 16  # joints, where the scene states no size
+TIPPED = 12.0  # joints that finer tips add to a fracture
+AT_TIPS = 4.0  # times finer joints at tips than elsewhere
+DENSE = 2.2  # CPU s of a factorisation for 1000 joints; it goes as the cube of their number
+CLEARLY = 2.0  # times less CPU time of a factorisation
+LEAST = 0.02  # CPU s of one: less is not worth another model
+
+
+def why_meshed(scene: Scene) -> str:
+    """Why a scene with sides needs them, or a mesh, wherever they are; empty where their distance decides."""
+    geometry = scene.geometry
+    assert geometry is not None
+    if odd := [stage.title for stage in scene.stage if stage.kind not in ("quasi-static", "steady")]:
+        return f"stage {odd[0]} has inertia, or begins out of balance"
+    if scene.body_force is not None or scene.initial is not None or scene.carries_unbalanced:
+        return "a start that is not at rest, or forces on the volume of the rock"
+    if any(rock.rigid for rock in scene.rock.values()):
+        return "the rock is rigid"
+    if scene.load or scene.tie or scene.term_tables:
+        return "loads, ties or terms on its sides, whose work rock without sides does not book"
+    held: set[tuple[str, str]] = set()
+    for support in scene.support:
+        if support.displacement is not None or support.displacement_gradient is not None:
+            return f"support on {support.on[0]} moves"
+        held |= {(name, part) for name in support.on for part in support.components}
+    for side in side_names(np.array(geometry.outline, dtype=float)):
+        if not {(side, "x"), (side, "y")} <= held:
+            return f"side {side} is not held in x and y"
+    if any(well.on is not None for well in scene.well):
+        return "a well is on a side"
+    on_joints = {name for name, row in probed().items() if row.home in ("section", "flow")}
+    for probe in scene.probe:
+        if probe.quantities is None or not on_joints.issuperset(probe.quantities):
+            what = "displacement" if probe.quantities is None else min({*probe.quantities} - on_joints)
+            return (
+                f"probe {probe.name} measures {what}, to which sides add by length over distance, not by its square"
+                " (its quantities may leave that out)"
+            )
+    if scene.output.fields_every:
+        return "output.fields_every asks for fields of the rock up to its sides"
+    method = scene.method
+    if method.coupling != "auto" or method.rock_solver != "auto" or scene.petsc or geometry.cells != "triangles":
+        return "its solver or its cells are stated"
+    return ""
+
+
+def estimated(scene: Scene) -> float:
+    """Error of leaving out the sides, by the lengths of fractures and their distances from the sides [1]."""
+    assert scene.geometry is not None
+    places = _along_sides(scene)
+    total = np.zeros(len(places))
+    for trace in scene.geometry.fracture:
+        points = np.array(trace.points, dtype=float)
+        half = 0.5 * np.linalg.norm(np.ptp(points, axis=0))
+        away = np.linalg.norm(places - 0.5 * (points.min(axis=0) + points.max(axis=0)), axis=1) - 0.5 * half
+        total += (half / np.maximum(away, 1e-3 * half)) ** 2
+    return float(ANSWER * SHED * total.max())
+
+
+def _along_sides(scene: Scene) -> Floats:
+    """Places (m, 2) along the sides."""
+    assert scene.geometry is not None
+    corners = np.array(scene.geometry.outline, dtype=float)
+    share = ((np.arange(PLACES) + 0.5) / PLACES)[:, None, None]
+    return np.asarray((corners + share * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2))
+
+
+def _cpu(scene: Scene) -> tuple[float, float]:
+    """CPU s of a factorisation with a mesh, and without; infinite where joints are too many."""
+    geometry = scene.geometry
+    assert geometry is not None
+    corners = np.array(geometry.outline, dtype=float)
+    traces = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
+    lengths = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in traces])
+    size = geometry.size or float(np.ptp(corners, axis=0).min()) / ACROSS
+    fine = geometry.size_at_fractures or geometry.size or min(size, typical_length(lengths) / PER_FRACTURE)
+    refined = 2**geometry.refine
+    cells = cell_count(size, fine, polygon_area(corners), float(lengths.sum()), geometry.growth or GROWTH) * refined**2
+    joints = (float(lengths.sum()) / fine + TIPPED * len(traces)) * refined
+    return direct(int(cells)).seconds, DENSE * (joints / 1000.0) ** 3 if joints <= MOST_JOINTS else np.inf
+
+
+def assessed(scene: Scene) -> FarSides | None:
+    """Whether a scene may do without its sides; None where it has none, or states all that it wants modelled."""
+    if scene.geometry is None or scene.is_unbounded or not scene.geometry.fracture or scene.model != "default":
+        return None
+    if why := why_meshed(scene):
+        return FarSides(why=why)
+    error, (meshed, dense) = estimated(scene), _cpu(scene)
+    why = "" if error < _tolerance(scene) else "the sides are too near"
+    if not why and (meshed < LEAST or meshed < CLEARLY * dense):
+        why = f"a factorisation takes some {meshed:.1g} CPU s with a mesh, and {dense:.1g} s without"
+    return FarSides(error, meshed / max(dense, 1e-3), why)
+
+
+def _tolerance(scene: Scene) -> float:
+    return TOLERANCE if scene.accuracy.tolerance is None else scene.accuracy.tolerance
+
+
+def without_sides(scene: Scene) -> Scene:
+    """The scene in rock without sides; joints at tips that it states no size for are finer, which costs next to nothing."""
+    assert scene.geometry is not None
+    keys: dict[str, object] = {"domain": "unbounded"}
+    fine = scene.geometry.size_at_fractures or scene.geometry.size
+    if scene.geometry.size_at_tips is None and fine is not None:
+        keys["size_at_tips"] = fine / AT_TIPS
+    geometry = scene.geometry.model_copy(update=keys)
+    return scene.model_copy(update={"geometry": geometry, "support": ()})
+
+
+def is_left_out(found: FarSides | None, saved: SplitMesh | None, undone: Mapping[str, str]) -> bool:
+    """Whether sides are left out, on rank 0; the mesh of a run that goes on says so, as long as that is not undone."""
+    if found is None or found.why or PART in undone:
+        return False
+    return saved is None or is_unmeshed(saved.cells)
+
+
+def decide_sides(facts: ReductionInput) -> Iterator[Decision]:
+    """Whether the rock has sides, and a mesh."""
+    if (sides := facts.sides) is None:
+        return
+    value = sides.why if not sides.error else sides.error
+    saves = f"nothing: {sides.why}" if sides.why else f"the mesh: {sides.faster:.2g} times faster factorisations"
+    error = (
+        f"of jumps, tractions and pressures, relative to the largest: at most {facts.tolerance:g}, checked in each step"
+    )
+    yield Decision(PART, not sides.why, CRITERION, value, facts.tolerance, error, saves)
+
+
+def watch_sides(model: Model, state: State) -> None:
+    """Raise ReductionInvalid, on every rank, where sides that were left out would change jumps by the tolerance. Collective."""
+    if model.bounded is None:
+        return
+    error, tolerance = error_of_sides(model, state), _tolerance(model.bounded)
+    if error > tolerance:
+        raise ReductionInvalid(
+            PART, state.time, f"sides would change results by up to {error:.2g}, above {tolerance:g}"
+        )
+
+
+def error_of_sides(model: Model, state: State) -> float:
+    """Error of leaving out the sides, by the jumps of a state [1]. Collective."""
+    ops = model.operators
+    moved, force = state.motion.displacement, ops.layout.solid_vector()
+    ops.stiffness.mult(moved, force)
+    work = float(force.dot(moved))
+    force.destroy()
+    motion = ops.gathered(moved)
+    comm, found = ops.layout.comm, 0.0
+    if motion is not None and work > ops.scales.energy_noise(int(ops.layout.solid_starts[-1])):
+        assert model.mesh is not None and model.bounded is not None
+        mesh, (rock,) = model.mesh, model.scene.rock.values()
+        assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
+        ends, jumps = mesh.points[mesh.joint_bottom], motion[mesh.joint_top] - motion[mesh.joint_bottom]
+        modulus = rock.youngs_modulus / (1.0 - rock.poissons_ratio**2)
+        xx, yy, xy = dislocation.stresses(_along_sides(model.bounded), ends, jumps, modulus).T
+        most = float((np.abs(0.5 * (xx + yy)) + np.hypot(0.5 * (xx - yy), xy)).max())
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        found = ANSWER * most * float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1)) / work
+    return float(comm.bcast(found, root=0))

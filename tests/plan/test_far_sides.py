@@ -1,0 +1,151 @@
+"""Sides that fractures do not feel are left out, with the mesh, where that is cheaper; and come back where they matter."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.errors import Interrupted
+from fracflow.mesh.data import is_unmeshed
+from fracflow.mesh.store import load_mesh
+from fracflow.output import read_history
+from fracflow.reduction import far_sides
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import resume, run
+
+TRACES = {"a": [[-20, -8], [14, 10]], "b": [[-12, 16], [16, -14]]}
+SIDES = ["west", "east", "south", "north"]
+
+
+def scene_of(half_width=500.0, **changes):
+    data = {
+        "rock": {"rock": {"youngs_modulus": 4e10, "poissons_ratio": 0.25}},
+        "initial_stress": {"xx": -14e6, "yy": -20e6, "zz": -16e6, "xy": 2e6},
+        "fluid": {"viscosity": 1e-3, "initial_pressure": 5e6, "compressibility": 4.5e-10},
+        "geometry": {
+            "domain": [-half_width, -half_width, half_width, half_width], "size": half_width / 8, "growth": 0.3,
+            "size_at_fractures": 2.0, "fracture": [{"name": n, "points": p} for n, p in TRACES.items()],
+        },
+        "support": [{"on": SIDES}],
+        "well": [{"name": "pump", "at": {"fracture": "a", "end": "start"}, "flow_rate": [[0, 0], ["10 h", "8e-4 L/s"]]}],
+        "probe": [
+            {"name": name, "at": {"fracture": name, "fraction": 0.37}, "quantities": ["slip", "opening", "pressure"]}
+            for name in TRACES
+        ],
+        "stage": [{"kind": "quasi-static", "time_step": "5 h", "steps": 4}],
+        "fracture": {
+            "default": {
+                "normal_stiffness": "40 GPa/m", "shear_stiffness": "20 GPa/m", "friction_coefficient": 0.5,
+                "aperture": "0.2 mm",
+            }
+        },
+        "output": {"pictures": False, "checkpoint_every": 1},
+    }  # fmt: skip
+    return Scene.from_data(data | changes)
+
+
+def changed(folder, quantity):
+    """Values (step, probe) of the probes beyond the start."""
+    history = dict(read_history(folder / "history.h5"))
+    values = np.stack([history[f"probe/{name}/{quantity}"] for name in TRACES], axis=1)
+    return values - values[0]
+
+
+def row(folder):
+    plan = json.loads((folder / "plan.json").read_text())
+    return next(each for each in plan["decisions"] if each["part"] == far_sides.PART)
+
+
+@pytest.fixture
+def dear_meshes(monkeypatch):
+    """A mesh of any size costs more than none."""
+    monkeypatch.setattr(far_sides, "LEAST", 0.0)
+    monkeypatch.setattr(far_sides, "CLEARLY", 0.0)
+
+
+def test_far_sides_are_left_out(shared_tmp, dear_meshes):
+    """Within the tolerance of a fine mesh, and nearer to it than the mesh of the scene; on ranks alike."""
+    run(scene_of(), shared_tmp / "free")
+    fine = scene_of().with_geometry({"size_at_fractures": 0.7, "size_at_tips": 0.2, "growth": 0.1})
+    run(fine.model_copy(update={"model": "full"}), shared_tmp / "full")
+    run(scene_of().model_copy(update={"model": "full"}), shared_tmp / "coarse")
+    if MPI.COMM_WORLD.size > 1:
+        run(scene_of(), shared_tmp / f"alone{MPI.COMM_WORLD.rank}", MPI.COMM_SELF)
+        for quantity in ("slip", "opening", "pressure"):
+            alone, together = (changed(shared_tmp / n, quantity) for n in (f"alone{MPI.COMM_WORLD.rank}", "free"))
+            np.testing.assert_allclose(together, alone, atol=1e-10 * np.abs(alone).max())
+    assert row(shared_tmp / "free")["verdict"] == "left out"
+    assert is_unmeshed(load_mesh(shared_tmp / "free" / "mesh.h5").cells)
+    assert (
+        load(shared_tmp / "free" / "scene.toml").geometry.domain
+        == load(shared_tmp / "full" / "scene.toml").geometry.domain
+    )
+    jumps = [np.stack([changed(shared_tmp / n, q) for q in ("slip", "opening")]) for n in ("free", "full", "coarse")]
+    assert np.abs(jumps[0] - jumps[1]).max() < 0.01 * np.abs(jumps[1]).max() < np.abs(jumps[2] - jumps[1]).max()
+    pressures = [changed(shared_tmp / n, "pressure") for n in ("free", "full")]
+    assert np.abs(pressures[0] - pressures[1]).max() < 0.01 * np.abs(pressures[1]).max()
+
+
+@pytest.mark.serial  # bits of MUMPS vary on ranks
+def test_sides_that_matter_come_back(shared_tmp, dear_meshes, monkeypatch):
+    """Lengths said that they would not; the jumps show that they do. The run is that of a mesh to the last bit."""
+    run(scene_of(60.0), shared_tmp / "kept")
+    assert row(shared_tmp / "kept")["saves"] == "nothing: the sides are too near"
+    monkeypatch.setattr(far_sides, "estimated", lambda scene: 1e-3)
+    run(scene_of(60.0), shared_tmp / "back")
+    found = row(shared_tmp / "back")
+    assert found["verdict"] == "kept"
+    assert "sides would change results by up to" in found["undone"]
+    one, other = (dict(read_history(shared_tmp / name / "history.h5")) for name in ("kept", "back"))
+    for key in one:
+        if key.startswith(("probe/", "energy/")):
+            np.testing.assert_array_equal(one[key], other[key])
+
+
+def test_a_run_without_sides_goes_on(shared_tmp, dear_meshes):
+    scene = scene_of()
+    run(scene, shared_tmp / "whole")
+
+    def stop(step):
+        if step.state.time > 9 * 3600:
+            raise Interrupted("by hand")
+
+    with pytest.raises(Interrupted):
+        run(scene, shared_tmp / "halves", progress=stop)
+    resume(shared_tmp / "halves")
+    one, other = (dict(read_history(shared_tmp / name / "history.h5")) for name in ("whole", "halves"))
+    for key in one:
+        if key.startswith(("probe/", "energy/")):
+            np.testing.assert_array_equal(one[key], other[key])
+
+
+KEPT = {
+    "not asked": {"model": "full"},
+    "inertia": {"stage": [{"kind": "auto", "time_step": 1.0, "end": 2.0}]},
+    "volume": {"body_force": {"y": -1.0}},
+    "loads": {"load": [{"on": "west", "traction": "initial-stress"}]},
+    "moves": {"support": [{"on": SIDES, "displacement": {"x": 1e-3, "y": 0.0}}]},
+    "side north is not held": {"support": [{"on": SIDES[:3]}, {"on": "north", "components": ["y"]}]},
+    "probe p measures displacement": {"probe": [{"name": "p", "at": [0, 50]}]},
+    "probe p measures stress": {"probe": [{"name": "p", "at": [0, 50], "quantities": ["stress"]}]},
+    "fields": {"output": {"fields_every": 1}},
+    "solver": {"method": {"coupling": "monolithic"}},
+    "well is on a side": {"well": [{"name": "w", "on": "east", "pressure": "initial"}]},
+}
+
+
+@pytest.mark.parametrize("why", KEPT)
+def test_reasons_to_keep_sides(why):
+    changes = {"rock": {"rock": {"youngs_modulus": 4e10, "poissons_ratio": 0.25, "density": 2600.0}}, **KEPT[why]}
+    found = far_sides.assessed(scene_of(**changes))
+    assert found is None if why == "not asked" else why in found.why
+
+
+def test_estimate_falls_with_the_square_of_the_distance():
+    near, far = (far_sides.estimated(scene_of(wide)) for wide in (2e3, 4e3))
+    assert near / far == pytest.approx(4.0, rel=0.02)
+    assert far_sides.assessed(scene_of()).why.startswith("a factorisation takes some")
+    assert not far_sides.assessed(
+        scene_of(geometry=scene_of().geometry.model_dump(exclude_none=True) | {"size": 4.0})
+    ).why
