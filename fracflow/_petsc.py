@@ -65,7 +65,7 @@ def _options_of_the_user() -> Iterator[None]:
 def _without_network() -> Iterator[None]:
     """Let Open MPI start without network and daemon where no launcher has started this process: 25 ms of CPU, .25 s.
 
-    What the user has set counts. What is set here is gone before any other process starts.
+    Settings of the user count. Those made here are gone before any other process starts.
     """
     is_alone = not any(name.startswith(_OF_LAUNCHERS) or name in _ALONE for name in os.environ)
     given = _ALONE if is_alone else {}

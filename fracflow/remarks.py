@@ -1,7 +1,7 @@
-"""Lines of ``check``, of a run and of its log, by what a reader is to do with them: nothing, know it, or act on it.
+"""Notes and warnings: lines of ``check``, of a run and of its log. A reader is to act on a warning, not on a note.
 
-Whoever writes a line says which it is. A note begins with "note: ", a warning with "! ". A list of remarks has nothing else,
-so that a line without a mark is a warning there; in a log it is one that every run has.
+A note is marked where it is written. In a list of remarks a line without a mark is a warning; in a log it is one that every
+run has.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from fracflow.model.joints import refuse_jumps
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
-from fracflow.remarks import note
+from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
 from fracflow.solve.explicit import ExplicitModel
 from fracflow.solve.leapfrog.steps import Leapfrog
@@ -87,6 +87,8 @@ class ExplicitSteps:
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
         damps = "".join(f"; {line}" for line in self.explicit.notes)
         self.log(note(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}"))
+        for doubt in self.explicit.doubts:
+            self.log(marked(doubt))
 
     def destroy(self) -> None:
         """Free it. Collective."""

@@ -1,9 +1,9 @@
-"""Sides that are far: a bounded rock whose fractures do not feel its sides is run without these, and without a mesh.
+"""Sides that are far: a bounded rock whose sides hardly act on its fractures is run without these, and without a mesh.
 
-The stress that a fracture of half length a sheds falls as (a/r)^2, SHED to 1.5 times its own change of stress (Sneddon 1946).
-A side that is held answers by about the stress that reaches it, which is the error of leaving it out. Before a run it follows
-from lengths. In each step it follows from the jumps D that are there: the largest principal stress that they make along the
-sides, over the change of stress along the fractures, which is int D.t/int |D|.
+Stress beside a fracture of half length a falls as (a/r)^2, SHED to 1.5 times its own change of stress (Sneddon 1946). A held
+side sends back about the stress that reaches it: that is the error of leaving it out. Before a run it follows from lengths.
+In each step it follows from the jumps D. Their largest principal stress along the sides is taken over the change of stress
+along the fractures, int D.t/int |D|.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def why_meshed(scene: Scene) -> str:
     if any(rock.rigid for rock in scene.rock.values()):
         return "the rock is rigid"
     if scene.load or scene.tie or scene.term_tables:
-        return "loads, ties or terms on its sides, whose work rock without sides does not book"
+        return "loads, ties or terms on its sides, whose work is not counted in rock without sides"
     held: set[tuple[str, str]] = set()
     for support in scene.support:
         if support.displacement is not None or support.displacement_gradient is not None:
@@ -113,7 +113,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
 
 
 def assessed(scene: Scene) -> FarSides | None:
-    """Whether a scene may do without its sides; None where it has none, or states all that it wants modelled."""
+    """Whether a scene may do without its sides; None where it has none, or asks for the whole model."""
     if scene.geometry is None or scene.is_unbounded or not scene.geometry.fracture or scene.model != "default":
         return None
     if why := why_meshed(scene):

@@ -19,7 +19,8 @@ class ExplicitModel:
     does not limit the step. Their D acts on the mean velocity of the step, and does limit it.
 
     critical  the longest stable time step, by the rock and its terms alone [time]
-    notes     lines of the log on D
+    notes     words of the log on D
+    doubts    warnings on it
     """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
@@ -29,6 +30,7 @@ class ExplicitModel:
         made = {term.name: term.mean_damping() for term in operators.terms}
         self.damping = {name: damping for name, damping in made.items() if damping is not None}
         self.notes = tuple(damping.note for damping in self.damping.values())
+        self.doubts = tuple(damping.doubt for damping in self.damping.values() if damping.doubt)
         self.critical = longest_step(operators, scene, self.inverse, list(self.damping.values()))
         clusters = find_clusters(operators.joints, self.inverse, operators.layout.comm)
         self.sections = SectionSolver(scene, operators, clusters)

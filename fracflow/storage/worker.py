@@ -70,7 +70,7 @@ def answer(request: dict[str, Any], out: BinaryIO) -> None:
 def read(
     path: Path, names: Sequence[str] | None, live: bool, asked: Sequence[int] | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
-    """Attributes and layout of a file, and the datasets of these names, all without any, or the rows asked for."""
+    """Attributes and layout of a file, and its datasets (n, ...) of these names, all without any, or their rows asked for."""
     size = path.stat().st_size
     with _opened(path, live) as file:
         # no dataset stays open: one takes memory for tables of chunks, and there may be thousands

@@ -120,12 +120,12 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
-    note = f"cells at faults are damped, method.fault_damping = {largest:g}{words_on_few_cells(blocks, damped)}"
-    return MeanDamping(projected(matrix, operators.expand), scale, largest, note)
+    words = f"cells at faults are damped, method.fault_damping = {largest:g}"
+    return MeanDamping(projected(matrix, operators.expand), scale, largest, words, few_cells(blocks, damped))
 
 
-def words_on_few_cells(blocks: Blocks, damped: Bools) -> str:
-    """A clause of the log on fractures with few of the damped joints (j,), whose slip is too small; or none. Collective."""
+def few_cells(blocks: Blocks, damped: Bools) -> str:
+    """A warning on fractures with few of the damped joints (j,), whose slip is too small; empty without any. Collective."""
     names = blocks.joints.fractures
     counts = blocks.comm.allreduce(np.bincount(blocks.joints.fracture[damped], minlength=len(names)))
     few = sorted((int(count), name) for count, name in zip(counts, names, strict=True) if 0 < count < FEW)
@@ -135,7 +135,9 @@ def words_on_few_cells(blocks: Blocks, damped: Bools) -> str:
         f"{name} ({count} cells, about {100.0 * min(1.0, LOST / count**2):.2g} %)" for count, name in few[:MOST_NAMES]
     )
     more = f" and {len(few) - MOST_NAMES} more" if len(few) > MOST_NAMES else ""
-    return f", which takes slip of faults with few cells: {told}{more}; give at least {FEW} cells along each"
+    return (
+        f"method.fault_damping takes slip of faults with few cells: {told}{more}; give at least {FEW} cells along each"
+    )
 
 
 def can_slip(joints: Joints) -> Bools:

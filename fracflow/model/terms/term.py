@@ -20,13 +20,15 @@ class MeanDamping:
 
     scale  (m,) squared frequency of each local cell with its damping, over that without, as a step's stability sees them
     ratio  damping of a cell's fastest vibration over the critical one, the largest of all cells
-    note   a line for the log
+    note   words for the log
+    doubt  a warning for it, if any
     """
 
     matrix: PETSc.Mat
     scale: Floats
     ratio: float
     note: str = ""
+    doubt: str = ""
 
     def force(self, increment: PETSc.Vec, dt: float) -> PETSc.Vec:
         """D times the mean velocity of a step, in a new vector. Collective."""
