@@ -33,9 +33,9 @@ Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven pl
             0.1. But it leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on; 0.1 on
             six layers 2.6 %. Damping of strains less their means over patches of cells leaves it 0.7 to 4.8 % too large there
             at a growth of 0.1. Damping slip along the fault by 0.15 of what is across 5 % at 100 m.
-Few cells   A fault of 100 m slips at once, and comes to rest. Damping by 0.25 leaves slip 24, 6, 1.4 % too small with 5, 10,
-            20 cells along it: ``LOST`` over the square of their number. Without damping slip is 11 to 46 % too large. The log
-            names faults with fewer cells than ``FEW``.
+Few cells   A fault of 100 m slips at once, and comes to rest. Damping by 0.25 leaves slip 27, 9, 5, 2, 1 % too small with 5,
+            10, 20, 40, 80 cells along it, about ``LOST`` over their number (``scripts/bench few_cells``). The log warns of
+            faults with fewer cells than ``FEW``.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ AUTO = 0.25  # of the critical damping of a cell's fastest vibration
 SUDDEN = 0.45  # the same, where strength falls at once
 QUICK = 1e-3  # of a joint's initial normal traction: the change of pressure in 1/omega of its cells that is at once
 ALIKE = 1e-3  # of ``asymmetry``: less makes no normal traction that counts
-FEW = 15  # joints of a fault: the log names those with fewer
-LOST = 6.0  # over the square of their number: the part of slip that is lost
+FEW = 20  # joints of a fault: the log warns of fewer
+LOST = 1.0  # over their number: the part of slip that is lost
 MOST_NAMES = 3  # faults that are named
 LAYERS = 3  # of cells that are damped, counted from the fault by the nodes they share
 
@@ -132,7 +132,7 @@ def few_cells(blocks: Blocks, damped: Bools) -> str:
     if not few:
         return ""
     told = ", ".join(
-        f"{name} ({count} cells, about {100.0 * min(1.0, LOST / count**2):.2g} %)" for count, name in few[:MOST_NAMES]
+        f"{name} ({count} cells, about {100.0 * min(1.0, LOST / count):.2g} %)" for count, name in few[:MOST_NAMES]
     )
     more = f" and {len(few) - MOST_NAMES} more" if len(few) > MOST_NAMES else ""
     return (
