@@ -87,7 +87,6 @@ def test_far_sides_are_left_out(shared_tmp, dear_meshes):
     assert np.abs(pressures[0] - pressures[1]).max() < 0.01 * np.abs(pressures[1]).max()
 
 
-@pytest.mark.serial  # bits of MUMPS vary on ranks
 def test_sides_that_matter_come_back(shared_tmp, dear_meshes, monkeypatch):
     """Lengths said that they would not; the jumps show that they do. The run is that of a mesh to the last bit."""
     run(scene_of(60.0), shared_tmp / "kept")
@@ -100,7 +99,8 @@ def test_sides_that_matter_come_back(shared_tmp, dear_meshes, monkeypatch):
     one, other = (dict(read_history(shared_tmp / name / "history.h5")) for name in ("kept", "back"))
     for key in one:
         if key.startswith(("probe/", "energy/")):
-            np.testing.assert_array_equal(one[key], other[key])
+            near = 0.0 if MPI.COMM_WORLD.size == 1 else 1e-8 * np.abs(one[key]).max()  # MUMPS sums in order of arrival
+            np.testing.assert_allclose(other[key], one[key], rtol=0.0, atol=near)
 
 
 def test_a_run_without_sides_goes_on(shared_tmp, dear_meshes):
