@@ -354,7 +354,7 @@ def test_a_picture_that_cannot_be_drawn_is_a_line(scene, tmp_path, monkeypatch):
 
     monkeypatch.setattr("fracflow.output.pictures.draw", full)
     with Console(record=True, width=200, file=open(os.devnull, "w")) as console:
-        cli_runs.show(tmp_path / "run", console, True, False)
+        cli_runs.show(tmp_path / "run", console, True, False, True)
     assert "overview.png: No space left on device; again with: fracflow picture" in console.export_text()
 
 
