@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fracflow._petsc import destroy
+from fracflow._petsc import PETSc, destroy
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.wells import (
     most_tries,
@@ -51,6 +51,8 @@ class ExplicitFlow:
         self._limited: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
         self._pumps = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
         self._problem: FluidStep | None = None
+        self._next: State | None = None
+        self._opened: PETSc.Vec | None = None
         self.parts: dict[str, float] = {}
 
     def begin(self, state: State) -> None:
@@ -102,8 +104,10 @@ class ExplicitFlow:
     def accept(self, sections: Sections) -> tuple[float, str]:
         """Go on from what was solved, with the records of its sections; how an aperture has grown, and where. Collective."""
         ops, depth, old, step = self.model.operators, self.model.scene.flow_depth, self.now, self._step
-        new, problem, opened = replace(self._next, sections=sections), self._problem, self._opened
-        assert problem is not None
+        problem, opened = self._problem, self._opened
+        assert problem is not None and opened is not None and self._next is not None
+        new = replace(self._next, sections=sections)
+        self._next = self._opened = None
         loads, dt = step.loads, step.length
         room = opened.getArray().copy()
         if new.uptake is not None:
@@ -128,6 +132,7 @@ class ExplicitFlow:
 
     def pressed(self) -> Floats:
         """Pressures (s,) at the sections of what was solved. Collective."""
+        assert self._next is not None
         return self.model.operators.network.at_ends(self._next.pressure).ravel()
 
     def check(self, new: State) -> float:
@@ -139,7 +144,10 @@ class ExplicitFlow:
         """Free the vectors of the steps."""
         if self.now is not self._first:
             free_flow(self.now)
-        self.now = self._first
+        if self._next is not None:  # solved, but refused
+            free_flow(self._next)
+            destroy(self._opened)
+        self.now, self._next, self._opened = self._first, None, None
 
     def _at(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
         if reached and (loads, reached) not in self._limited:

@@ -20,6 +20,7 @@ from fracflow.cli.exit import abort, stop
 from fracflow.cli.reference import EXAMPLES, markdown
 from fracflow.cli.run import Terminal, keep_imports, run_levels, run_with_progress, with_levels
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
+from fracflow.remarks import bare, marked, note, parted
 
 if TYPE_CHECKING:
     from fracflow.diagnostics import Number
@@ -89,7 +90,6 @@ def run_command(
     from fracflow.diagnostics import as_records
     from fracflow.model.setup import on_root
     from fracflow.output.folder import check_folder
-    from fracflow.remarks import marked, note
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
@@ -141,7 +141,7 @@ def resume_command(
     on_root(comm, lambda: require_run(folder))
     console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
-        console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
+        console.print(note(f"the run in {folder} has ended; this is what it left"), soft_wrap=True, markup=False)
     run_with_progress(
         load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust)
     )
@@ -184,7 +184,6 @@ def check(
     from fracflow.diagnostics import as_records as card_records
     from fracflow.output.folder import to_json
     from fracflow.reduction import as_records
-    from fracflow.remarks import bare, parted
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
 
@@ -212,7 +211,6 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
     from fracflow.reduction.prepare import read_split
-    from fracflow.remarks import marked
     from fracflow.scene.scene import load
 
     keep_imports()
@@ -277,7 +275,7 @@ def report_command(
     except OSError as error:
         raise DiskError.of(error, folder if output is None else output.parent) from error
     for line in faults:
-        typer.echo(f"note: {line}")
+        typer.echo(note(line))
     typer.echo(str(path))
 
 
@@ -417,7 +415,7 @@ def wrong_words(message: str) -> str:
 
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
-    warnings.formatwarning = lambda message, *_: f"note: {message}\n"
+    warnings.formatwarning = lambda message, *_: f"{note(str(message))}\n"
     gc.disable()  # it would look again and again through imports, which stay to the end
     try:
         words = with_levels(sys.argv[1:])

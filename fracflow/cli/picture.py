@@ -15,6 +15,7 @@ from fracflow.output.drawing.before_a_run import before_a_run
 from fracflow.output.drawing.network_map import Network, Places
 from fracflow.output.plot_style import plain, save, styled
 from fracflow.reduction.prepare import read_split
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 
 
@@ -55,7 +56,7 @@ def _marks(scene: Scene, mesh: SplitMesh) -> tuple[dict[str, Places], list[str]]
     try:
         found = place(scene, mesh)
     except InputError as error:
-        return {}, [f"note: wells and probes are not drawn: {error}"]
+        return {}, [note(f"wells and probes are not drawn: {error}")]
     wells = {name: mesh.points[mesh.flow_origin[np.ravel(nodes)[0]]] for name, nodes in found.wells.items()}
     probes = {name: each.point for name, each in found.probes.items()}
     return {

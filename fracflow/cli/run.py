@@ -14,6 +14,7 @@ from rich.console import Console
 
 from fracflow.cli.exit import ExitReport
 from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.remarks import marked
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
@@ -71,7 +72,7 @@ def run_with_progress(
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)
         for line in totals.doubts:
-            console.print(f"! {scene.with_time_units(line)}", soft_wrap=True, markup=False)
+            console.print(marked(scene.with_time_units(line)), soft_wrap=True, markup=False)
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool, is_new: bool) -> None:
@@ -89,7 +90,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool, is_new: b
         why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
             raise
-        line = f"! report and pictures incomplete: {why}; again with: fracflow picture {folder}"
+        line = marked(f"report and pictures incomplete: {why}; again with: fracflow picture {folder}")
         console.print(line, soft_wrap=True, markup=False)
     for path in paths:
         console.print(f"picture: {path}", soft_wrap=True, markup=False)

@@ -38,8 +38,8 @@ class Dilatant(JointLaw):
 
     u(s) = tan psi int_0^s (1 - s'/d) ds' up to s = d, and u(d) beyond. s is the length of the path of plastic slip: walls
     that slip back do not fit again. In contact only; what open walls move by does not count. A parabola is the integral of
-    the angle's tangent that falls linearly, where codes of blocks let it end at once (UDEC's displacement of no dilation).
-    Rudnicki and Chen (1988) and Segall and Rice (1995) give reasons that dilation ends with slip.
+    the angle's tangent that falls linearly, where codes of blocks let it end at once (UDEC's limiting shear displacement).
+    Dilation here follows slip, as that of Rudnicki and Chen (1988). That of Segall and Rice (1995) follows the slip rate.
 
     A slip of ds opens by du: the normal traction is that of eps_n - u - du, and the strength follows it. The law of friction
     is evaluated at an opening by dilation that its own slip brings about, found section by section. The more the walls ride

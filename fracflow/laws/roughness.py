@@ -33,10 +33,10 @@ class Roughness:
     most      m, conductance after much slip over that without
     distance  L of that slip [length]; any where m is 1
 
-    The cubic law has the aperture w_h = w_h0 + f (w - w_0) (Witherspoon et al. 1980, Rutqvist and Stephansson 2003). A
-    conductance is F(s) times that without slip, F = m - (m - 1) exp(-s/L), the mean of both ends. It solves
-    dk/ds = (k_max - k)/L, the law of Zhu, Allison, Dunham and Yang (2020) without healing. s is the length of the net plastic
-    slip.
+    The cubic law has the aperture w_h = w_h0 + f (w - w_0) (Rutqvist and Stephansson 2003). A conductance is F(s) times that
+    without slip, F = m - (m - 1) exp(-s/L), the mean of both ends. It solves dk/ds = (k_max - k)/L, as the permeability of
+    Zhu, Allison, Dunham and Yang (2020) does in slip one way without healing. Their walls keep it when
+    they slip back. These conduct less again, since s is the length of the net plastic slip.
     """
 
     aperture: Floats

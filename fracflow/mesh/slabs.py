@@ -105,7 +105,7 @@ class Distributed:
 def on_rank_0(comm: MPI.Comm, arrays: Mapping[str, Distributed]) -> Iterator[dict[str, Slabs] | None]:
     """Arrays that rank 0 may read by slabs, as long as it likes; to the others, which send their rows meanwhile, None.
 
-    Rank 0 may raise at any slab, or leave some out: the others then go on as it does. Collective.
+    Rank 0 may raise at any slab, or leave some out: the others go on without an error, on which the caller agrees. Collective.
     """
     if comm.rank:
         while (asked := comm.bcast(None, root=0)) is not None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from fracflow.laws import FLOW_LAWS, JOINT_LAWS, Key, keys_of, may_dilate, parameters_of
+from fracflow.laws import FLOW_LAWS, JOINT_LAWS, Key, keys_of, parameters_of
 from fracflow.scene.profiles import Along, Profile
 from fracflow.scene.units import Quantity, fault
 
@@ -97,13 +97,8 @@ def check(law: str, table: Mapping[str, Any]) -> None:
             raise fault(f"missing; the law {law} needs it", key=field.name)
 
 
-def check_dilation(law: str, dilates: bool, has_distance: bool) -> None:
-    """Raise the fault of a table whose law has no friction to dilate by, or that does not say over which slip it does."""
-    if dilates and not may_dilate(JOINT_LAWS[law]):
-        users = ", ".join(name for name in KEYS if may_dilate(JOINT_LAWS[name]))
-        raise fault(
-            f'has no effect with law = "{law}", but with {users}; remove it, or set law', key="dilation_angle_deg"
-        )
+def check_dilation(dilates: bool, has_distance: bool) -> None:
+    """Raise the fault of a table that does not say over which slip its walls dilate."""
     if dilates and not has_distance:
         raise fault("missing; dilation_angle_deg needs it: give the slip that wears the walls", key="dilation_distance")
 

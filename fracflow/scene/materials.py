@@ -166,8 +166,9 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     """w_h0, aperture of the cubic law at the initial state; else aperture. Volumes are those of aperture [length]"""
     hydraulic_opening_ratio: Annotated[Property, _along(above=0.0)] = 1.0
     """f of w_h = w_h0 + f (w - w_0), hydraulic against mechanical opening [1]"""
-    slip_conductance: Annotated[Property, _along(above=0.0)] = 1.0
-    """m, conductance after much plastic slip s over that without: it is m - (m - 1) exp(-s/L) times as large [1]"""
+    slip_conductance: Annotated[Property, _along(at_least=1.0)] = 1.0
+    """m, conductance after much plastic slip s over that without: it is m - (m - 1) exp(-s/L) times as large. s is the net
+    slip, which walls that slip back lose again [1]"""
     slip_conductance_distance: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
     """L, slip over which the conductance grows to that [length]"""
     pressure: Annotated[Pressures | None, AlongInTime(units.STRESS)] = None
@@ -180,7 +181,7 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
         check(self.law, vars(self))
-        check_dilation(self.law, self.dilates, self.dilation_distance is not None)
+        check_dilation(self.dilates, self.dilation_distance is not None)
         for name, value in defaults(self.law).items():
             if getattr(self, name) is None:
                 self.__dict__[name] = value  # so that the table that is written back says it

@@ -38,7 +38,7 @@ from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
-from fracflow.remarks import marked
+from fracflow.remarks import marked, note
 from fracflow.scene.quantities import REGIMES, quantities
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
@@ -335,7 +335,7 @@ class Files:
     def _warn(self, lines: list[str]) -> None:
         """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
-            self.folder.log(marked(line))
+            self.folder.log(note(line))
             warnings.warn(line, stacklevel=2)
 
     def write_plan(self, decisions: list[Decision]) -> None:

@@ -1,8 +1,8 @@
 """S14: where dilation holds slip that weakens: a layer sheared over a joint whose fluid is shut in.
 
 By the hardening of dilation and by the fall of strength, each over the stiffness k of layer and joint. Slip opens the walls.
-The fluid that is shut in loses pressure. The strength rises by f K_f tan psi/d a slip, less what the closure gives.
-Predicted: slip is stable where that and k exceed the fall of strength (Rudnicki and Chen 1988, Segall and Rice 1995). Past it a
+The fluid that is shut in loses pressure. The strength rises by f K_f tan psi/w_0 a slip, less what the closure gives.
+Predicted: slip is stable where that and k exceed the fall of strength (as in Rudnicki and Chen 1988). Past it a
 stage without inertia ends: at a limit point, or since no balance is near.
 """
 
