@@ -130,8 +130,7 @@ class ExplicitSubsteps:
             found, report = flow.solve(run.free_strain(), part, around)
             run.pull(found, flow.pressed())
             refuse_jumps(blocks, joints, before, run.sections, part.time)
-            grown, where = flow.accept(run.sections)
-            report = replace(report, widening=grown, widest=where)
+            report = replace(report, **flow.accept(run.sections)._asdict())
         elif blocks.sizes.joints:
             found, iterations, left = explicit.leapfrog.joints_at_end(run.free_strain(), part)
             run.pull(found)
@@ -175,6 +174,7 @@ def with_part(total: StepReport, part: StepReport) -> StepReport:
         part.after(total),
         solid_residual=max(total.solid_residual, part.solid_residual),
         flow_residual=max(total.flow_residual, part.flow_residual),
+        grown=max(total.grown, part.grown),
         widening=widest.widening,
         widest=widest.widest,
     )

@@ -20,7 +20,7 @@ from fracflow.errors import NotConverged
 from fracflow.integrators import Explicit
 from fracflow.integrators.explicit import joint_share
 from fracflow.mesh.data import Floats
-from fracflow.model.compressibility import brought, leaked, taken_between, widening
+from fracflow.model.compressibility import Growth, brought, leaked, taken_between, widening
 from fracflow.model.energy import fluid_parts
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Limit, Loads
@@ -101,8 +101,8 @@ class ExplicitFlow:
             refuse_cycle(reached, request.time, spent)
         refuse_outlets(request.time, spent, failed)
 
-    def accept(self, sections: Sections) -> tuple[float, str]:
-        """Go on from what was solved, with the records of its sections; how an aperture has grown, and where. Collective."""
+    def accept(self, sections: Sections) -> Growth:
+        """Go on from what was solved, with the records of its sections; how apertures have grown. Collective."""
         ops, depth, old, step = self.model.operators, self.model.scene.flow_depth, self.now, self._step
         problem, opened = self._problem, self._opened
         assert problem is not None and opened is not None and self._next is not None
@@ -122,7 +122,7 @@ class ExplicitFlow:
             self.parts[name] = self.parts.get(name, 0.0) + value
         brings = brought(ops, loads, old, new, room, dt, SCHEME, depth) if self._pumps else 0.0
         self.network.log_changes(step.time)
-        grown = widening(ops, old, new)
+        grown = widening(ops, loads, old, new)
         left = {name: old.left.get(name, 0.0) + value for name, value in lost.items()}
         self.now = replace(new, volumes=volumes, left=left, injected=old.injected + brings)
         opened.destroy()

@@ -205,8 +205,7 @@ class SingleStep:
             new, report = self._by_rule(rule, state, request)
         solvers.network.log_changes(request.time)
         if rule.storage and ops.flow is not None:
-            grown, where = widening(ops, state, new)
-            report = replace(report, widening=grown, widest=where)
+            report = replace(report, **widening(ops, request.loads, state, new)._asdict())
         return Outcome(new, report, request.end)
 
     def _keeping_pace(self, rule: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:

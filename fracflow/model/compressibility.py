@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,17 +62,33 @@ def narrowing(operators: Operators, old: State, new: State) -> float:
     return float(operators.layout.comm.allreduce(float(_left(operators, old, new).min(initial=1.0)), op=MPI.MIN))
 
 
-def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
-    """Largest factor by which the aperture of a conducting element has grown, at least 1, and its place. Collective."""
+class Growth(NamedTuple):
+    """How apertures of conducting elements grew in a step, as its report has it."""
+
+    grown: float = 1.0
+    widening: float = 1.0
+    widest: str = ""
+
+
+def widening(operators: Operators, loads: Loads, old: State, new: State) -> Growth:
+    """Largest factor by which an aperture has grown, at least 1; where no pressure is prescribed, and the place. Collective.
+
+    A prescribed pressure gives the aperture of its place at once, whatever flows in. No shorter step makes it grow less.
+    """
     if operators.flow is None:
-        return 1.0, ""
-    joints, found = operators.blocks.joints, (1.0, "")
-    grown = _left(operators, old, new)
-    if grown.size and grown.max() > 1.0:
-        joint, end = np.unravel_index(grown.argmax(), grown.shape)
+        return Growth()
+    joints, given = operators.blocks.joints, operators.layout.flow_vector()
+    given.getArray()[loads.given_pressures] = 1.0
+    left = _left(operators, old, new)
+    follows = np.where(operators.network.at_ends(given) > 0.0, 1.0, left)
+    given.destroy()
+    grown, found = float(left.max(initial=1.0)), (1.0, "")
+    if follows.size and follows.max() > 1.0:
+        joint, end = np.unravel_index(follows.argmax(), follows.shape)
         x, y = operators.blocks.solid.points[joints.bottom[joint, end]][:2]
-        found = float(grown[joint, end]), f"{joints.fractures[joints.fracture[joint]]} at ({x:.6g}, {y:.6g})"
-    return max(operators.layout.comm.allgather(found))
+        found = float(follows[joint, end]), f"{joints.fractures[joints.fracture[joint]]} at ({x:.6g}, {y:.6g})"
+    every = operators.layout.comm.allgather((grown, found))
+    return Growth(max(grown for grown, _ in every), *max(found for _, found in every))
 
 
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:

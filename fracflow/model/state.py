@@ -244,7 +244,8 @@ class StepReport:
     located         sections whose friction changed its status at the end of the step, which was located there
     rejected        trials rejected on the way to this step: they did not converge, were unstable, or were not accurate
     wasted          Newton iterations spent on those, which ``newton`` does not count
-    widening        largest factor by which an aperture grew in the step, and ``widest``, its fracture and place
+    grown           largest factor by which an aperture grew in the step
+    widening        the same where no pressure is prescribed, and ``widest``, its fracture and place
     """
 
     newton: int = 0
@@ -262,6 +263,7 @@ class StepReport:
     located: int = 0
     rejected: int = 0
     wasted: int = 0
+    grown: float = 1.0
     widening: float = 1.0
     widest: str = ""
 

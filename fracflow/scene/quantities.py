@@ -209,7 +209,7 @@ _ROWS = (
     Q("step/located", PLAIN, "run", of("step.report.located"), "sections whose friction changes at the end of the step"),
     Q("step/rejected", PLAIN, "run", of("step.report.rejected"), "trials thrown away on the way to the step"),
     Q("step/wasted", PLAIN, "run", of("step.report.wasted"), "Newton iterations spent on those"),
-    Q("step/widening", PLAIN, "run", of("step.report.widening"), "largest factor by which an aperture grew"),
+    Q("step/widening", PLAIN, "run", of("step.report.grown"), "largest factor by which an aperture grew"),
 )  # fmt: skip
 QUANTITIES: dict[str, OutputQuantity] = {row.name: row for row in _ROWS}
 """The table by name; a row that is put in from outside is everywhere that the others are."""
