@@ -62,6 +62,7 @@ class SplitMesh:
     side_of        (s,)      index into ``sides``
     named_points   name -> raw node
     notes          what was changed in the traces before meshing, a line each
+    cuts           how often each cell is cut in four once it is on its rank
     """
 
     points: Floats
@@ -83,6 +84,7 @@ class SplitMesh:
     sides: tuple[str, ...]
     named_points: dict[str, int]
     notes: tuple[str, ...] = ()
+    cuts: int = 0
 
 
 def is_unmeshed(cells: Ints) -> bool:

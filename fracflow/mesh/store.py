@@ -17,6 +17,7 @@ from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
+MOST_CUTS = 12
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _REALS = ("points", "joint_along")
 
@@ -48,6 +49,8 @@ def mesh_root(path: Path) -> str:
 def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: str) -> Any:
     if name in arrays:
         return arrays[name]
+    if name == "cuts" and name not in texts:  # of a mesh that an earlier version saved
+        return 0
     value = json.loads(str(texts[name]))
     return tuple(value) if isinstance(value, list) else value
 
@@ -92,6 +95,8 @@ def _check(mesh: SplitMesh) -> None:
     for name in _REALS:
         if getattr(mesh, name).dtype.kind != "f" or not np.isfinite(getattr(mesh, name)).all():
             raise ValueError(f"{name} has values that are no numbers")
+    if type(mesh.cuts) is not int or not 0 <= mesh.cuts <= MOST_CUTS:
+        raise ValueError("cuts are no number of cuts")
     points = mesh.named_points
     if not isinstance(points, dict) or not all(type(at) is int and 0 <= at < nodes for at in points.values()):
         raise ValueError("named_points has numbers of no nodes")
