@@ -23,7 +23,8 @@ def number_edges(mesh: SplitMesh, near: int, cell_rank: Ints, cell_body: Ints, s
     of_cells = np.full(cells.shape, -1)
     of_cells[row, corner] = at
     of_faces = np.stack(
-        [np.searchsorted(key, _key(*face.T, many)) for face in (mesh.joint_bottom, mesh.joint_top)], axis=1
+        [np.searchsorted(key, _key(face[:, 0], face[:, 1], many)) for face in (mesh.joint_bottom, mesh.joint_top)],
+        axis=1,
     )
     # A fracture of one joint ends at both of its nodes: its faces have them in common.
     closed = np.flatnonzero(of_faces[:, 0] == of_faces[:, 1])
@@ -39,7 +40,7 @@ def number_edges(mesh: SplitMesh, near: int, cell_rank: Ints, cell_body: Ints, s
     number[np.argsort(~is_near, kind="stable")] = np.arange(total)
     of_cells = np.where(cells >= 0, number[of_cells], -1)
     of_faces = number[of_faces]
-    of_sides = number[np.searchsorted(key, _key(*mesh.side_facets.T, many))]
+    of_sides = number[np.searchsorted(key, _key(mesh.side_facets[:, 0], mesh.side_facets[:, 1], many))]
     edge = of_cells[row, corner]
     ends = np.empty((total, 2), dtype=np.int64)
     ends[edge] = np.stack([cells[row, corner], after], axis=1)
