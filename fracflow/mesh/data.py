@@ -63,6 +63,7 @@ class SplitMesh:
     named_points   name -> raw node
     notes          what was changed in the traces before meshing, a line each
     cuts           how often each cell is cut in four once it is on its rank
+    coarse         the mesh, with ``cuts``, that this one was made from; None where none was
     """
 
     points: Floats
@@ -85,6 +86,7 @@ class SplitMesh:
     named_points: dict[str, int]
     notes: tuple[str, ...] = ()
     cuts: int = 0
+    coarse: SplitMesh | None = None
 
 
 def is_unmeshed(cells: Ints) -> bool:

@@ -87,6 +87,8 @@ def distribute(
 ) -> Blocks:
     """Send each rank its share, let it cut its cells, and number all. ``mesh`` is given on rank 0, else None. Collective.
 
+    Of a mesh that was made from a coarse one, ranks get the cells of that.
+
     ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
     cell_rank  (m,) where the cells go once they are cut, on rank 0; else the partitioner says
     """
@@ -96,6 +98,7 @@ def distribute(
     common: Common | None = None
     counts: Counts | None = None
     if mesh is not None:
+        mesh = mesh.coarse or mesh
         cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank[:: 4**mesh.cuts]
         owners, common, counts = owned(mesh, cell_rank, comm.size, rigid_rocks)
         common = replace(common, ties=np.zeros((0, 2), np.int64) if ties is None else ties)

@@ -53,7 +53,9 @@ def number_edges(mesh: SplitMesh, near: int, cell_rank: Ints, cell_body: Ints, s
     body = np.full(total, -1, dtype=np.int64)
     np.maximum.at(body, edge, cell_body[row])
     alike = np.where(is_quad, np.cumsum(is_quad), np.cumsum(~is_quad)) - 1
-    quads, nodes = int(is_quad[:near].sum()), len(np.unique(cells[:near][cells[:near] >= 0]))
+    quads, nodes = int(is_quad[:near].sum()), many
+    if near < len(cells):
+        nodes = len(np.unique(cells[:near][cells[:near] >= 0]))
     counts = Counts(
         (nodes, many - nodes), (int(is_near.sum()), int((~is_near).sum())), (near - quads, _rest(~is_quad[near:])),
         (quads, _rest(is_quad[near:])), len(mesh.joint_flow), len(mesh.flow_origin),

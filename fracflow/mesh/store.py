@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.mesh.cut_mesh import cut_mesh
 from fracflow.mesh.data import SplitMesh
 from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
@@ -20,25 +21,29 @@ _NO_MESH = "is no saved mesh"
 MOST_CUTS = 12
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _REALS = ("points", "joint_along")
+_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name != "coarse")
 
 
 def save_mesh(mesh: SplitMesh, path: Path) -> str:
-    """Write every part of a mesh with its seal, and give the root of that."""
-    parts = {field.name: getattr(mesh, field.name) for field in fields(mesh)}
+    """Write every part of a mesh, or of the coarse one it was made from, with its seal, and give the root of that."""
+    parts = {name: getattr(mesh.coarse or mesh, name) for name in _PARTS}
     arrays = {name: value for name, value in parts.items() if isinstance(value, np.ndarray)}
     texts = {name: json.dumps(value, ensure_ascii=False) for name, value in parts.items() if name not in arrays}
     return write_sealed(path, arrays, texts)
 
 
 def load_mesh(path: Path, root: str = "") -> SplitMesh:
-    """Read a mesh that was saved, with the ``root`` of its seal where that is known. Raises InputError where there is none."""
+    """Read a mesh that was saved, with the ``root`` of its seal where that is known, and cut its cells.
+
+    Raises InputError where there is none.
+    """
     found = read_sealed(path, _NO_MESH, ours=root)
     try:
-        mesh = SplitMesh(**{field.name: _part(found.arrays, found.notes, field.name) for field in fields(SplitMesh)})
+        mesh = SplitMesh(**{name: _part(found.arrays, found.notes, name) for name in _PARTS})
         _check(mesh)
     except (KeyError, ValueError) as error:
         raise InputError(f"{path}: {_NO_MESH} ({error}); {AGAIN}") from None
-    return mesh
+    return cut_mesh(mesh)
 
 
 def mesh_root(path: Path) -> str:

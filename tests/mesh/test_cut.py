@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refined import refined
 from scipy.spatial import cKDTree
 
 from fracflow._petsc import MPI
+from fracflow.mesh.cut_mesh import cut_mesh
 from fracflow.mesh.data import RawMesh
 from fracflow.mesh.distribute import distribute
-from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.split import split
 
 COMM = MPI.COMM_WORLD
@@ -152,3 +153,16 @@ def test_numbers_are_the_same_on_any_number_of_ranks(cuts):
     whole = np.append(alone.solid.node_ids, -1)[alone.solid.cells]
     assert np.array_equal(np.append(together.solid.node_ids, -1)[together.solid.cells], whole[together.solid.cell_ids])
     assert np.array_equal(alone.joints.flow_ids[together.joints.ids], together.joints.flow_ids)
+    whole = cut_mesh(mesh)
+    joints = together.joints.ids
+    assert np.array_equal(whole.points[together.solid.node_ids], together.solid.points)
+    assert np.array_equal(whole.origin[together.solid.node_ids], together.solid.origin)
+    padded = np.append(together.solid.node_ids, -1)
+    assert np.array_equal(whole.cells[together.solid.cell_ids], padded[together.solid.cells])
+    assert np.array_equal(whole.joint_bottom[joints], padded[together.joints.bottom])
+    assert np.array_equal(whole.joint_top[joints], padded[together.joints.top])
+    assert np.array_equal(whole.joint_flow[joints], together.joints.flow_ids)
+    assert np.array_equal(whole.points[whole.flow_origin[together.flow.ids]], together.flow.points)
+    for face, cell in zip((whole.joint_bottom, whole.joint_top), whole.joint_cells.T, strict=True):
+        assert (whole.cells[cell][:, None] == face[:, :, None]).any(axis=2).all()
+    assert np.array_equal(whole.flow_origin[whole.joint_flow], whole.origin[whole.joint_bottom])
