@@ -62,6 +62,8 @@ class SplitMesh:
     side_of        (s,)      index into ``sides``
     named_points   name -> raw node
     notes          what was changed in the traces before meshing, a line each
+    cuts           how often each cell is cut in four once it is on its rank
+    coarse         the mesh, with ``cuts``, that this one was made from; None where none was
     """
 
     points: Floats
@@ -83,6 +85,8 @@ class SplitMesh:
     sides: tuple[str, ...]
     named_points: dict[str, int]
     notes: tuple[str, ...] = ()
+    cuts: int = 0
+    coarse: SplitMesh | None = None
 
 
 def is_unmeshed(cells: Ints) -> bool:

@@ -10,15 +10,19 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy
-from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
+from fracflow.mesh.blocks import Blocks, Sizes
 from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.edges import number_edges
 from fracflow.mesh.facets import half_facets, joined_by_cells, match
-from fracflow.mesh.locate import representatives
+from fracflow.mesh.numbering import Common, blocks_of
+from fracflow.mesh.plane.cut import Counts, cut
+from fracflow.mesh.share import Owners, share_of
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -81,16 +85,36 @@ def distribute(
     ties: Ints | None = None,
     cell_rank: Ints | None = None,
 ) -> Blocks:
-    """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective.
+    """Send each rank its share, let it cut its cells, and number all. ``mesh`` is given on rank 0, else None. Collective.
+
+    Of a mesh that was made from a coarse one, ranks get the cells of that.
 
     ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
-    cell_rank  (m,) where the cells go, on rank 0; else the partitioner says
+    cell_rank  (m,) where the cells go once they are cut, on rank 0; else the partitioner says
     """
-    pieces: Any = None
+    from mpi4py.util.pkl5 import Intracomm  # sends arrays as they are, which may be larger than 2 GiB
+
+    messages = Intracomm(comm)
+    common: Common | None = None
+    counts: Counts | None = None
     if mesh is not None:
-        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank
-        pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks, np.zeros((0, 2), np.int64) if ties is None else ties)
-    return Blocks(comm, *comm.scatter(pieces, root=0))
+        mesh = mesh.coarse or mesh
+        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank[:: 4**mesh.cuts]
+        owners, common, counts = owned(mesh, cell_rank, comm.size, rigid_rocks)
+        common = replace(common, ties=np.zeros((0, 2), np.int64) if ties is None else ties)
+        joint_rank, side_rank = cell_rank[mesh.joint_cells[:, 0]], cell_rank[mesh.side_cell]
+        for rank in reversed(range(comm.size)):  # one after another, its own the last: never more than one of others
+            here = (np.flatnonzero(ranks == rank) for ranks in (cell_rank, joint_rank, side_rank))
+            share = share_of(mesh, owners, rank, *here)
+            if rank:
+                messages.send(share, dest=rank)
+        del owners
+    else:
+        share = messages.recv(source=0)
+    common, counts, cuts = messages.bcast((common, counts, mesh.cuts if mesh is not None else 0), root=0)
+    for _ in range(cuts):
+        share, counts = cut(share, counts), counts.cut()
+    return blocks_of(share, common, comm)
 
 
 def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, Ints]:
@@ -126,103 +150,40 @@ def _lowest_rank(rank: Ints, numbers: Ints, total: int, size: int) -> Ints:
     return owner
 
 
-def _renumber(owner: Ints, size: int, width: Ints | None = None) -> tuple[Ints, Ints]:
-    """New first number of each item, contiguous by owner, and the starts; an item takes ``width`` numbers."""
-    width = np.ones(len(owner), dtype=np.int64) if width is None else width
-    order = np.argsort(owner, kind="stable")
-    first = np.empty(len(owner), dtype=np.int64)
-    first[order] = np.concatenate([[0], np.cumsum(width[order])[:-1]]) if len(owner) else 0
-    counts = np.bincount(owner, weights=width, minlength=size).astype(np.int64)
-    return first, np.concatenate([[0], np.cumsum(counts)])
-
-
-def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection[str], ties: Ints) -> list[Any]:
+def owned(
+    mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection[str]
+) -> tuple[Owners, Common, Counts | None]:
+    """Owners, values that all ranks know, and counts where cells are to be cut; cell_rank (m,) of so many ranks."""
     dim = mesh.points.shape[1]
-    cell, corner = np.nonzero(mesh.cells >= 0)
-    node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
-    node_global, node_starts = _renumber(node_owner, size)
+    node_owner = np.full(len(mesh.points), size, dtype=np.int64)
+    for nodes in mesh.cells.T:
+        used = nodes >= 0
+        np.minimum.at(node_owner, nodes[used], cell_rank[used])
     joint_rank = cell_rank[mesh.joint_cells[:, 0]]
-    rank_of_ends = np.repeat(joint_rank, mesh.joint_flow.shape[1])
-    flow_owner = _lowest_rank(rank_of_ends, mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
-    flow_global, flow_starts = _renumber(flow_owner, size)
-
+    flow_owner = _lowest_rank(
+        np.repeat(joint_rank, mesh.joint_flow.shape[1]), mesh.joint_flow.ravel(), len(mesh.flow_origin), size
+    )
     body, body_rock = rigid_bodies(mesh, rigid_rocks)
-    bodies = len(body_rock)
-    rotations = dim * (dim - 1) // 2
-    center = np.zeros((bodies, dim))
-    body_owner = np.zeros(bodies, dtype=np.int64)
     on_body = np.flatnonzero(body >= 0)
-    if bodies:
-        count = np.bincount(body[on_body], minlength=bodies)[:, None]
-        np.add.at(center, body[on_body], mesh.points[on_body])
-        center /= count
-        body_owner = _lowest_rank(node_owner[on_body], body[on_body], bodies, size)
-    free = np.where(body >= 0, 0, dim)
-    owner = np.concatenate([node_owner, body_owner])
-    first, starts = _renumber(owner, size, np.concatenate([free, np.full(bodies, dim + rotations)]))
-    unknown = first[: len(body), None] + np.arange(dim)
-    unknown[body >= 0] = -1
-    body_unknown = first[len(body) :, None] + np.arange(dim + rotations)
+    center = np.zeros((len(body_rock), dim))
+    np.add.at(center, body[on_body], mesh.points[on_body])
+    center /= np.bincount(body[on_body], minlength=len(body_rock))[:, None]
+    body_owner = _lowest_rank(node_owner[on_body], body[on_body], len(body_rock), size)
     piece, piece_rock, piece_box = pieces_of_rock(mesh)
-    unused = np.zeros(0, dtype=np.int64)
-    if len(ties):
-        leader = representatives(ties, unknown.size)
-        unused = np.sort(unknown.ravel()[leader != np.arange(unknown.size)])
-        unknown = unknown.ravel()[leader].reshape(unknown.shape)
-
+    edges, counts = None, None
+    if mesh.cuts:
+        is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
+        cell_body = np.where(is_rigid, body[mesh.cells[:, 0]], -1)
+        edges, counts = number_edges(mesh, len(mesh.cells), cell_rank, cell_body, size)
     cut_joints = int(np.count_nonzero(joint_rank != cell_rank[mesh.joint_cells[:, 1]]))
     sizes = Sizes(dim, len(mesh.points), len(mesh.cells), len(mesh.joint_bottom), len(mesh.flow_origin), cut_joints)
-    pieces = []
-    for rank in range(size):
-        cells = np.flatnonzero(cell_rank == rank)
-        joints = np.flatnonzero(joint_rank == rank)
-        sides = np.flatnonzero(cell_rank[mesh.side_cell] == rank)
-        owned = np.flatnonzero(node_owner == rank)
-        corners = mesh.cells[cells]
-        bottom, top = mesh.joint_bottom[joints], mesh.joint_top[joints]
-        touched = np.unique(np.concatenate([corners[corners >= 0], bottom.ravel(), top.ravel()]))
-        ghosts = touched[node_owner[touched] != rank]
-        nodes = np.concatenate([owned, ghosts])
-        local = np.full(len(mesh.points) + 1, -1, dtype=np.int64)  # the last entry keeps the padding at -1
-        local[nodes] = np.arange(len(nodes))
-        solid = SolidBlock(
-            node_ids=nodes,
-            origin=mesh.origin[nodes],
-            node_global=node_global[nodes],
-            points=mesh.points[nodes],
-            owned=len(owned),
-            cells=local[corners],
-            cell_ids=cells,
-            cell_rock=mesh.cell_rock[cells],
-            rocks=mesh.rocks,
-            side_facets=local[mesh.side_facets[sides]],
-            side_of=mesh.side_of[sides],
-            side_cell=np.searchsorted(cells, mesh.side_cell[sides]),
-            sides=mesh.sides,
-            unknown=unknown[nodes],
-            unused=unused,
-            body=body[nodes],
-            body_unknown=body_unknown,
-            body_center=center,
-            body_rock=body_rock,
-            body_owner=body_owner,
-            piece=piece[nodes],
-            piece_rock=piece_rock,
-            piece_box=piece_box,
-            unknown_starts=starts,
-            node_starts=node_starts,
-        )
-        flow_nodes = np.flatnonzero(flow_owner == rank)
-        joint = JointBlock(
-            ids=joints,
-            bottom=local[bottom],
-            top=local[top],
-            flow=flow_global[mesh.joint_flow[joints]],
-            flow_ids=mesh.joint_flow[joints],
-            fracture=mesh.joint_fracture[joints],
-            fractures=mesh.fractures,
-            along=mesh.joint_along[joints],
-        )
-        flow = FlowBlock(flow_nodes, mesh.points[mesh.flow_origin[flow_nodes]], flow_starts)
-        pieces.append((solid, joint, flow, sizes))
-    return pieces
+    if counts is not None:
+        fine = counts
+        for _ in range(mesh.cuts):
+            fine = fine.cut()
+        sizes = Sizes(dim, sum(fine.nodes), sum(fine.cells), fine.joints, fine.flow_nodes, cut_joints << mesh.cuts)
+    none = np.zeros((0, 2), dtype=np.int64)
+    common = Common(
+        sizes, mesh.rocks, mesh.sides, mesh.fractures, none, center, body_rock, body_owner, piece_rock, piece_box
+    )
+    return Owners(cell_rank, node_owner, flow_owner, body, piece, edges), common, counts

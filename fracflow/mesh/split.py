@@ -267,7 +267,7 @@ def joined_ends(mesh: SplitMesh, ends: Ints) -> SplitMesh:
 def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
 
-    Cells keep their numbers, and nodes those of the raw mesh; copies, joints, flow nodes and fractures are numbered anew.
+    Cells keep their numbers, and nodes their order; copies, joints, flow nodes and fractures are numbered anew.
     """
     stays = ~chosen[mesh.joint_fracture]
     is_shut = np.zeros(len(mesh.points), dtype=bool)
@@ -279,7 +279,7 @@ def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     return replace(
         mesh,
         points=mesh.points[one == same],
-        origin=mesh.origin[one == same],
+        origin=renamed[mesh.origin[one == same]],
         cells=np.where(mesh.cells >= 0, renamed[mesh.cells], -1),
         joint_bottom=renamed[mesh.joint_bottom[stays]],
         joint_top=renamed[mesh.joint_top[stays]],
@@ -288,6 +288,8 @@ def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
         joint_fracture=(np.cumsum(~chosen) - 1)[mesh.joint_fracture[stays]],
         joint_along=mesh.joint_along[stays],
         fractures=tuple(name for name, out in zip(mesh.fractures, chosen, strict=True) if not out),
-        flow_origin=mesh.flow_origin[~is_shut[mesh.flow_origin]],
+        flow_origin=renamed[mesh.flow_origin[~is_shut[mesh.flow_origin]]],
         side_facets=renamed[mesh.side_facets],
+        named_points={name: int(renamed[node]) for name, node in mesh.named_points.items()},
+        coarse=None,
     )

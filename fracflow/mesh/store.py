@@ -12,32 +12,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.mesh.cut_mesh import cut_mesh
 from fracflow.mesh.data import SplitMesh
 from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
+MOST_CUTS = 12
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _REALS = ("points", "joint_along")
+_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name != "coarse")
 
 
 def save_mesh(mesh: SplitMesh, path: Path) -> str:
-    """Write every part of a mesh with its seal, and give the root of that."""
-    parts = {field.name: getattr(mesh, field.name) for field in fields(mesh)}
+    """Write every part of a mesh, or of the coarse one it was made from, with its seal, and give the root of that."""
+    parts = {name: getattr(mesh.coarse or mesh, name) for name in _PARTS}
     arrays = {name: value for name, value in parts.items() if isinstance(value, np.ndarray)}
     texts = {name: json.dumps(value, ensure_ascii=False) for name, value in parts.items() if name not in arrays}
     return write_sealed(path, arrays, texts)
 
 
 def load_mesh(path: Path, root: str = "") -> SplitMesh:
-    """Read a mesh that was saved, with the ``root`` of its seal where that is known. Raises InputError where there is none."""
+    """Read a mesh that was saved, with the ``root`` of its seal where that is known, and cut its cells.
+
+    Raises InputError where there is none.
+    """
     found = read_sealed(path, _NO_MESH, ours=root)
     try:
-        mesh = SplitMesh(**{field.name: _part(found.arrays, found.notes, field.name) for field in fields(SplitMesh)})
+        mesh = SplitMesh(**{name: _part(found.arrays, found.notes, name) for name in _PARTS})
         _check(mesh)
     except (KeyError, ValueError) as error:
         raise InputError(f"{path}: {_NO_MESH} ({error}); {AGAIN}") from None
-    return mesh
+    return cut_mesh(mesh)
 
 
 def mesh_root(path: Path) -> str:
@@ -48,6 +54,8 @@ def mesh_root(path: Path) -> str:
 def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: str) -> Any:
     if name in arrays:
         return arrays[name]
+    if name == "cuts" and name not in texts:  # of a mesh that an earlier version saved
+        return 0
     value = json.loads(str(texts[name]))
     return tuple(value) if isinstance(value, list) else value
 
@@ -92,6 +100,8 @@ def _check(mesh: SplitMesh) -> None:
     for name in _REALS:
         if getattr(mesh, name).dtype.kind != "f" or not np.isfinite(getattr(mesh, name)).all():
             raise ValueError(f"{name} has values that are no numbers")
+    if type(mesh.cuts) is not int or not 0 <= mesh.cuts <= MOST_CUTS:
+        raise ValueError("cuts are no number of cuts")
     points = mesh.named_points
     if not isinstance(points, dict) or not all(type(at) is int and 0 <= at < nodes for at in points.values()):
         raise ValueError("named_points has numbers of no nodes")

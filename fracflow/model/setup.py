@@ -13,6 +13,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.cut_mesh import cut_mesh
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.graph import components
@@ -25,7 +26,6 @@ from fracflow.mesh.locate import (
     probe_place,
     tied_nodes,
 )
-from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -149,7 +149,7 @@ def naming(scene: Scene) -> Iterator[None]:
 
 
 def read_sized(scene: Scene) -> SplitMesh:
-    """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
+    """Read or build the mesh of a scene whose sizes are known, split it, and cut its cells. Raises InputError."""
     if scene.is_unbounded:
         mesh = build_unmeshed(geometry_of(scene), scene.refine)
         scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, ())
@@ -158,9 +158,7 @@ def read_sized(scene: Scene) -> SplitMesh:
         raw = read_mesh(scene.mesh_path, scene.fracture, scene.trust, scene.folder)
     else:
         raw = build_mesh(geometry_of(scene))
-    for _ in range(scene.refine):
-        raw = refined(raw)
-    mesh = split(raw)
+    mesh = replace(split(raw), cuts=scene.refine)
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
     joined: dict[int, str] = {}
     for well in scene.well if scene.has_flow else ():
@@ -174,7 +172,7 @@ def read_sized(scene: Scene) -> SplitMesh:
                 )
             joined |= dict.fromkeys(raw_nodes, well.on)
             mesh = joined_ends(mesh, ends)
-    return mesh
+    return cut_mesh(mesh)
 
 
 def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
