@@ -1,4 +1,4 @@
-"""Strain, stress and energy of the rock, cell by cell; plain NumPy on rank 0, which has the whole mesh.
+"""Strain, stress and energy of the rock, cell by cell; plain NumPy on the cells that a rank has.
 
 Four components are xx, yy, zz, xy; xy of a strain is half the engineering shear, so that both turn alike.
 """
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from fracflow.elements import solid
 from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness
+from fracflow.mesh.blocks import SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.properties import initial_stress
 from fracflow.model.solid import by_shape
 from fracflow.scene.scene import Scene
 
 
-def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:
+def deforms(mesh: SplitMesh | SolidBlock, scene: Scene) -> NDArray[np.bool_]:
     """Which cells (m,) are of rock that is not rigid."""
     return ~np.array([scene.rock[name].rigid for name in mesh.rocks], dtype=bool)[mesh.cell_rock]
 
@@ -58,12 +59,12 @@ def tensors(values: Floats) -> Floats:
     return result
 
 
-def properties(mesh: SplitMesh, scene: Scene, key: str, cells: Ints | slice = slice(None)) -> Floats:
+def properties(mesh: SplitMesh | SolidBlock, scene: Scene, key: str, cells: Ints | slice = slice(None)) -> Floats:
     """A property (n,) of the rock in cells; 0 where the scene leaves it out."""
     return np.array([getattr(scene.rock[name], key) or 0.0 for name in mesh.rocks])[mesh.cell_rock[cells]]
 
 
-def elastic_moduli(mesh: SplitMesh, scene: Scene, cells: Ints) -> tuple[Floats, Floats]:
+def elastic_moduli(mesh: SplitMesh | SolidBlock, scene: Scene, cells: Ints) -> tuple[Floats, Floats]:
     """Young's modulus [stress] and Poisson's ratio of the rock in cells (m,)."""
     return properties(mesh, scene, "youngs_modulus", cells), properties(mesh, scene, "poissons_ratio", cells)
 

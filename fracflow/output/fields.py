@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fracflow.errors import InputError
 from fracflow.output.folder import step_of, to_json, write_atomic
 from fracflow.storage.reader import Layout
-from fracflow.storage.sealed import Sealed, layout_of, read_sealed, write_sealed
+from fracflow.storage.sealed import SealedFile, Slabs, read_sealed, slabs_of, whole, write_slabs
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,6 +34,8 @@ class FieldWriter:
     attrs   metadata stored with the mesh, e.g. names behind cell data; lists and mappings as JSON
     resume  keep the steps that are there; otherwise they are removed
 
+    Points, with three coordinates, and cells may come by slabs. ``counts`` are those of points and cells, ``sizes`` those of
+    cells with so many nodes.
     ``left_out`` are lines on files of steps that cannot be read, ``steps`` time and layout of those that are there.
     """
 
@@ -40,8 +43,8 @@ class FieldWriter:
         self,
         folder: str | Path,
         name: str,
-        points: Floats,
-        cells: Ints,
+        points: Floats | Slabs,
+        cells: Ints | Slabs,
         attrs: Mapping[str, Any] | None = None,
         resume: bool = False,
     ) -> None:
@@ -50,11 +53,13 @@ class FieldWriter:
         if not resume:
             for _, path in list_steps(self.folder, name):
                 path.unlink()
-        self.points, self.cells = _padded(points, 3), np.asarray(cells, np.int64)
+        self.points = points if isinstance(points, Slabs) else whole(_padded(points, 3))
+        self.cells = cells if isinstance(cells, Slabs) else whole(np.asarray(cells, np.int64))
         self.steps: dict[int, tuple[float, Layout]] = {}
-        self._counts = (len(points), len(cells))
-        topology, kind = _topology(np.asarray(cells))
-        self._mesh = (kind, topology, self.points)
+        self.counts = {"point": self.points.shape[0], "cell": self.cells.shape[0]}
+        self.sizes = _sizes(self.cells)
+        topology, kind = _topology(self.cells, self.sizes)
+        self._mesh = kind, (topology.kind.str, topology.shape), (self.points.kind.str, self.points.shape)
         arrays = {"points": self.points, "cells": self.cells, "topology": topology}
         _write(self.folder / "fields" / f"{name}_mesh.h5", arrays, attrs or {})
         self._grids, self.left_out = self._known()
@@ -65,7 +70,7 @@ class FieldWriter:
         found, left_out = {}, []
         for index, path in list_steps(self.folder, self.name):
             try:
-                found[index] = self._known_step(index, path, *_read_flat(path))
+                found[index] = self._known_step(index, path, *_checked(path))
             except InputError as error:
                 left_out.append(f"{str(error).partition(';')[0]}: left out of {self.name}.xdmf")
         return found, left_out
@@ -74,13 +79,11 @@ class FieldWriter:
         """Name of the file of a step, in the folder "fields"."""
         return f"{self.name}_{index:06d}.h5"
 
-    def _known_step(self, index: int, path: Path, time: float, *data: Data) -> str:
+    def _known_step(self, index: int, path: Path, time: float, layout: Layout) -> str:
         """Keep what a step has; its entry of the index."""
-        arrays = {
-            f"{place}/{key}": each for place, part in zip(_CENTRES, data, strict=True) for key, each in part.items()
-        }
-        self.steps[index] = (time, layout_of(arrays))
-        return self._grid(path, time, *data)
+        names = [name for place in _CENTRES for name in sorted(layout) if name.startswith(f"{place}/")]
+        self.steps[index] = (time, {name: layout[name] for name in names})
+        return self._grid(path, *self.steps[index])
 
     def write(
         self,
@@ -94,16 +97,18 @@ class FieldWriter:
         Rows are points or cells; then nothing (scalar), 2 or 3 (vector, padded to 3) or (d, d) (tensor,
         padded to 3 x 3). Any other shape is written as it is. Raises ValueError if the rows do not match.
         """
-        arrays: Data = {}
-        for place, count, data in zip(_CENTRES, self._counts, (point_data, cell_data), strict=True):
-            for key, value in (data or {}).items():
-                arrays[f"{place}/{key}"] = _stored(np.asarray(value))
-                if len(arrays[f"{place}/{key}"]) != count:
-                    got = len(arrays[f"{place}/{key}"])
-                    raise ValueError(f"field {key} of {self.name}: {got} rows, should be {count} {place}s")
+        return self.write_stored(index, time, {k: whole(v) for k, v in stored(point_data, cell_data).items()})
+
+    def write_stored(self, index: int, time: float, arrays: Mapping[str, Slabs]) -> Path:
+        """Likewise, of arrays (rows, ...) in the form of ``stored``, by slabs. Raises ValueError if the rows do not match."""
+        for name, array in arrays.items():
+            place, _, key = name.partition("/")
+            if array.shape[0] != (count := self.counts[place]):
+                raise ValueError(f"field {key} of {self.name}: {array.shape[0]} rows, should be {count} {place}s")
         path = self.folder / "fields" / self.file(index)
         _write(path, arrays, {"time": float(time)})
-        self._grids[index] = self._known_step(index, path, float(time), *_by_place(arrays))
+        layout = {name: (array.kind.str, array.shape) for name, array in arrays.items()}
+        self._grids[index] = self._known_step(index, path, float(time), layout)
         self._write_index()
         return path
 
@@ -114,22 +119,21 @@ class FieldWriter:
             self._write_index()
             (self.folder / "fields" / self.file(index)).unlink(missing_ok=True)
 
-    def _grid(self, path: Path, time: float, *data: Data) -> str:
-        places = zip(_CENTRES, data, strict=True)
-        fields = [(place, key, value) for place, values in places for key, value in values.items()]
+    def _grid(self, path: Path, time: float, layout: Layout) -> str:
         attributes = [
-            f'<Attribute Name="{escape(key)}" AttributeType="{_attribute_type(value)}" '
-            f'Center="{_CENTRES[place]}">{_item(value, path, f"{place}/{key}")}</Attribute>'
-            for place, key, value in fields
+            f'<Attribute Name="{escape(key)}" AttributeType="{_attribute_type(shape)}" '
+            f'Center="{_CENTRES[place]}">{_item(kind, shape, path, name)}</Attribute>'
+            for name, (kind, shape) in layout.items()
+            for place, _, key in [name.partition("/")]
         ]
         mesh = self.folder / "fields" / f"{self.name}_mesh.h5"
         kind, topology, points = self._mesh
         nodes = ' NodesPerElement="2"' if kind == "Polyline" else ""
         head = [
             f'<Grid Name="{escape(self.name)}" GridType="Uniform"><Time Value="{time!r}"/>',
-            f'<Topology TopologyType="{kind}" NumberOfElements="{self._counts[1]}"{nodes}>'
-            f"{_item(topology, mesh, 'topology')}</Topology>",
-            f'<Geometry GeometryType="XYZ">{_item(points, mesh, "points")}</Geometry>',
+            f'<Topology TopologyType="{kind}" NumberOfElements="{self.counts["cell"]}"{nodes}>'
+            f"{_item(*topology, mesh, 'topology')}</Topology>",
+            f'<Geometry GeometryType="XYZ">{_item(*points, mesh, "points")}</Geometry>',
         ]
         return "\n".join([*head, *attributes, "</Grid>"])
 
@@ -138,6 +142,14 @@ class FieldWriter:
         grids = [self._grids[index] for index in sorted(self._grids)]
         lines = ['<?xml version="1.0"?>', '<Xdmf Version="3.0"><Domain>', head, *grids, "</Grid>"]
         write_atomic(self.folder / f"{self.name}.xdmf", "\n".join([*lines, "</Domain></Xdmf>", ""]))
+
+
+def stored(point_data: Mapping[str, ArrayLike] | None, cell_data: Mapping[str, ArrayLike] | None) -> Data:
+    """The arrays (n, ...) that a file has of data at points and cells."""
+    places = zip(_CENTRES, (point_data, cell_data), strict=True)
+    return {
+        f"{place}/{key}": _stored(np.asarray(value)) for place, data in places for key, value in (data or {}).items()
+    }
 
 
 def list_steps(folder: str | Path, name: str) -> list[tuple[int, Path]]:
@@ -160,23 +172,28 @@ def read_mesh(folder: str | Path, name: str) -> tuple[Floats, Ints, dict[str, An
 
 def read_step(path: str | Path) -> tuple[float, Data, Data]:
     """Time, point data and cell data of one step, as stored: vectors have 3 components, tensors 3 x 3. Raises InputError."""
-    time, *data = _read_flat(Path(path))
-    point, cell = ({key: _unflattened(value) for key, value in values.items()} for values in data)
+    found = read_sealed(Path(path), _NO_FIELDS, remedy=_REMEDY)
+    time = _time_of(Path(path), found.notes)
+    point, cell = ({key: _unflattened(value) for key, value in data.items()} for data in _by_place(found.arrays))
     return time, point, cell
 
 
 def read_time(path: str | Path) -> float:
     """Time of one step. Raises InputError."""
-    return _time_of(Path(path), read_sealed(Path(path), _NO_FIELDS, names=(), remedy=_REMEDY))
+    return _time_of(Path(path), read_sealed(Path(path), _NO_FIELDS, names=(), remedy=_REMEDY).notes)
 
 
-def _read_flat(path: Path) -> tuple[float, Data, Data]:
-    found = read_sealed(path, _NO_FIELDS, remedy=_REMEDY)
-    return _time_of(path, found), *_by_place(found.arrays)
+def _checked(path: Path) -> tuple[float, Layout]:
+    """Time, and types and shapes, of one step whose rows are as they were sealed. Raises InputError."""
+    file = SealedFile(path, _NO_FIELDS, _REMEDY)
+    for name, (kind, shape) in file.layout.items():
+        for first, last in slabs_of(np.dtype(kind), shape or (1,)):
+            file.rows(name, first, last)
+    return _time_of(path, file.notes), file.layout
 
 
-def _time_of(path: Path, found: Sealed) -> float:
-    time = found.notes.get("time")
+def _time_of(path: Path, notes: Mapping[str, Any]) -> float:
+    time = notes.get("time")
     if not isinstance(time, float):
         raise InputError(f"{path}: {_NO_FIELDS} (it has no time); {_REMEDY}")
     return time
@@ -191,24 +208,47 @@ def _by_place(arrays: Mapping[str, NDArray[Any]]) -> tuple[Data, Data]:
     return point, cell
 
 
-def _write(path: Path, arrays: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> None:
+def _write(path: Path, arrays: Mapping[str, Slabs], attrs: Mapping[str, Any]) -> None:
     notes = {key: value if isinstance(value, str | int | float) else to_json(value) for key, value in attrs.items()}
-    write_sealed(path, arrays, notes, durable=False)
+    write_slabs(path, arrays, notes, durable=False)
 
 
-def _topology(cells: Ints) -> tuple[Ints, str]:
+@dataclass(frozen=True)
+class _Each:
+    """Slabs made of those of another array."""
+
+    parts: Iterable[NDArray[Any]]
+    make: Callable[[NDArray[Any]], NDArray[Any]]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return map(self.make, self.parts)
+
+
+def _sizes(cells: Slabs) -> dict[int, int]:
+    """Number of nodes -> how many cells have so many. Raises ValueError."""
+    total = sum((np.bincount((p >= 0).sum(axis=1), minlength=99) for p in cells.parts), np.zeros(99, dtype=np.int64))
+    found = {int(size): int(total[size]) for size in np.flatnonzero(total)}
+    if not found.keys() <= _SHAPES.keys():
+        raise ValueError(f"cells have {sorted(found)} nodes, should be 2, 3 or 4")
+    return found
+
+
+def _topology(cells: Slabs, sizes: Mapping[int, int]) -> tuple[Slabs, str]:
     """Cells in the form of XDMF: one array if all have the same shape, else codes and nodes in a row."""
-    sizes = (cells >= 0).sum(axis=1)
-    if not np.isin(sizes, list(_SHAPES)).all():
-        raise ValueError(f"cells have {sorted(set(sizes.tolist()))} nodes, should be 2, 3 or 4")
-    if len(set(sizes.tolist())) <= 1:
-        size = int(sizes[0]) if len(sizes) else max(_SHAPES)
-        return cells[:, :size].astype(np.int64), _SHAPES[size][0]
-    codes = np.array([0, 0, *(code for _, code in _SHAPES.values())])[sizes]
+    if len(sizes) <= 1:
+        size = next(iter(sizes), max(_SHAPES))
+        shape = cells.shape[0], min(size, cells.shape[1])
+        return Slabs(np.dtype(np.int64), shape, _Each(cells.parts, lambda part: part[:, :size])), _SHAPES[size][0]
     # A polyline's code is followed by its number of nodes; other shapes know theirs.
-    counts = np.where(sizes == 2, 2, -1)
-    rows = np.column_stack([codes, counts, cells])
-    return rows[rows >= 0].astype(np.int64), "Mixed"
+    total = sum(count * (1 + (size == 2) + size) for size, count in sizes.items())
+    return Slabs(np.dtype(np.int64), (total,), _Each(cells.parts, _mixed)), "Mixed"
+
+
+def _mixed(cells: Ints) -> Ints:
+    sizes = (cells >= 0).sum(axis=1)
+    codes = np.array([0, 0, *(code for _, code in _SHAPES.values())])[sizes]
+    rows = np.column_stack([codes, np.where(sizes == 2, 2, -1), cells])
+    return rows[rows >= 0].astype(np.int64)
 
 
 def _padded(array: ArrayLike, width: int) -> NDArray[Any]:
@@ -233,13 +273,11 @@ def _unflattened(values: NDArray[Any]) -> NDArray[Any]:
     return values.reshape(-1, 3, 3) if values.shape[1:] == (9,) else values
 
 
-def _attribute_type(values: NDArray[Any]) -> str:
-    width = 1 if values.ndim == 1 else int(np.prod(values.shape[1:]))
-    return {1: "Scalar", 3: "Vector", 9: "Tensor"}.get(width, "Matrix")
+def _attribute_type(shape: tuple[int, ...]) -> str:
+    return {1: "Scalar", 3: "Vector", 9: "Tensor"}.get(int(np.prod(shape[1:])), "Matrix")
 
 
-def _item(values: NDArray[Any], path: Path, key: str) -> str:
-    kind = "Float" if values.dtype.kind == "f" else "Int"
-    size = " ".join(str(n) for n in values.shape)
-    form = f'NumberType="{kind}" Precision="{values.dtype.itemsize}" Format="HDF"'
+def _item(kind: str, shape: tuple[int, ...], path: Path, key: str) -> str:
+    name, size = "Float" if np.dtype(kind).kind == "f" else "Int", " ".join(str(n) for n in shape)
+    form = f'NumberType="{name}" Precision="{np.dtype(kind).itemsize}" Format="HDF"'
     return f'<DataItem Dimensions="{size}" {form}>{escape(f"fields/{path.name}:/{key}")}</DataItem>'

@@ -1,26 +1,25 @@
-"""Values of probes, and fields, of a state that rank 0 has gathered."""
+"""Values of probes of a state that rank 0 has gathered, and fields."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.elements import solid
+from fracflow.mesh.blocks import SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
-from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
 from fracflow.output.history import AT_LIMIT, SHUT
 from fracflow.output.sampling import Columns, Snapshot
-from fracflow.output.unmeshed import AtPoint, UnmeshedRock, far_stress
+from fracflow.output.unmeshed import AtPoint
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
@@ -158,7 +157,7 @@ class Cells:
     """
 
     scene: Scene
-    mesh: SplitMesh
+    mesh: SplitMesh | SolidBlock
     numbers: Ints
     points: Floats
     corners: Ints
@@ -246,28 +245,6 @@ class InRock:
         """Total stress (4,), with the initial one at the point itself."""
         initial: Floats = rock.initial_components(self._scene, self._place.point)
         return self.stress_change + initial
-
-
-def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, state: State) -> tuple[Data, Data]:
-    """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; of a map where it is not meshed."""
-    nodes: Any
-    cells: Cells | UnmeshedRock
-    if is_unmeshed(mesh.cells):
-        points, squares = map_cells(mesh)
-        far, rocks = far_stress(scene, state.time, state.controls), np.zeros(len(squares), dtype=np.int64)
-        nodes = UnmeshedRock(scene, mesh, points, motion, far)
-        cells = UnmeshedRock(scene, mesh, points[squares].mean(axis=1), motion, far)
-    else:
-        moves, rocks = state.energy["kinetic"] != 0.0, mesh.cell_rock
-        nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
-        cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
-    point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
-    cell: Data = {"rock": rocks}
-    for row in quantities("cell").values():
-        if row.field:
-            values = row.formula(cells)
-            cell[row.name] = rock.tensors(values) if row.kind == "tensor" else values
-    return point, cell
 
 
 def fracture_fields(columns: Columns, table: Floats) -> Data:

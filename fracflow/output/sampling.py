@@ -15,6 +15,7 @@ from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
+from fracflow.model.solid import summed_at_nodes
 from fracflow.model.state import Sections, State
 from fracflow.model.terms.term import TermStep
 from fracflow.output.profiles import KEPT
@@ -305,6 +306,14 @@ class StateSampler:
         blocks = self.sampler.operators.blocks
         local = self._motion(np.arange(blocks.solid.owned))
         return blocks.gather(blocks.solid.node_ids[: blocks.solid.owned], local, blocks.sizes.nodes)
+
+    def motion_here(self) -> Floats:
+        """Displacement, velocity and acceleration (n, 3, dim) at this rank's nodes, its ghosts too."""
+        blocks = self.sampler.operators.blocks
+        owned, rows = self._motion(np.arange(blocks.solid.owned)), np.arange(blocks.solid.owned)
+        found = summed_at_nodes(blocks, rows, owned.reshape(len(rows), -1)).reshape(-1, *owned.shape[1:])
+        found[: len(rows)] = owned
+        return found
 
     def _motion(self, rows: Ints) -> Floats:
         """Displacement, velocity and acceleration (n, 3, dim) at owned nodes."""

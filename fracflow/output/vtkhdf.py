@@ -9,7 +9,8 @@ Format: VTK's documentation, "VTKHDF file format", version 2, UnstructuredGrid w
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from fracflow.mesh.data import Ints
 from fracflow.output.fields import FieldWriter
 from fracflow.storage import hdf5
 from fracflow.storage.hdf5 import whole_file
-from fracflow.storage.sealed import write_sealed
+from fracflow.storage.sealed import Slabs, write_slabs
 
 NAME = "fields.vtkhdf"
 GRID = "fields/grid.h5"
@@ -36,19 +37,18 @@ class VtkHdf:
     def __init__(self, folder: Path, families: Sequence[FieldWriter]) -> None:
         """Write points and cells, and the file of the steps that are there. Raises OSError."""
         self.folder, self.families = folder, families
-        cells, points, first = [], [], 0
-        for family in families:
-            cells.append(np.where(family.cells >= 0, family.cells + first, -1))
-            points.append(family.points)
-            first += len(family.points)
-        sizes = np.concatenate([(each >= 0).sum(axis=1) for each in cells])
-        self._grid = {
-            "Points": np.concatenate(points),
-            "Connectivity": np.concatenate([each[each >= 0] for each in cells]),
-            "Offsets": np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-            "Types": _TYPES[sizes],
+        sizes = [(size, count) for family in families for size, count in family.sizes.items()]
+        cells = sum(count for _, count in sizes)
+        points = sum(family.counts["point"] for family in families)
+        kind = np.dtype(np.int64)
+        grid = {
+            "Points": Slabs(np.dtype(float), (points, 3), chain.from_iterable(each.points.parts for each in families)),
+            "Connectivity": Slabs(kind, (sum(size * count for size, count in sizes),), _connectivity(families)),
+            "Offsets": Slabs(kind, (cells + 1,), _offsets(families)),
+            "Types": Slabs(_TYPES.dtype, (cells,), (_TYPES[each] for each in _sizes(families))),
         }
-        write_sealed(folder / GRID, self._grid, {}, durable=False)
+        self._grid = {name: (each.kind, each.shape) for name, each in grid.items()}
+        write_slabs(folder / GRID, grid, {}, durable=False)
         self._again, self._is_behind = 0.0, True
         self.update(is_last=True)
 
@@ -73,10 +73,10 @@ class VtkHdf:
             root = file.create_group("VTKHDF")
             root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
             root.attrs.create("Type", b"UnstructuredGrid", dtype=h5py.string_dtype("ascii", 16))
-            for name, values in self._grid.items():
-                _view(root, name, values.dtype, values.shape, [(0, GRID, name, values.shape)])
-            totals = {"Points": len(self._grid["Points"]), "Cells": len(self._grid["Types"])}
-            totals["ConnectivityIds"] = len(self._grid["Connectivity"])
+            for name, (kind, shape) in self._grid.items():
+                _view(root, name, kind, shape, [(0, GRID, name, shape)])
+            arrays = {"Points": "Points", "Cells": "Types", "ConnectivityIds": "Connectivity"}
+            totals = {name: self._grid[array][1][0] for name, array in arrays.items()}
             for name, total in totals.items():
                 root[f"NumberOf{name}"] = np.array([total], dtype=np.int64)
             about = root.create_group("Steps")
@@ -108,8 +108,29 @@ class VtkHdf:
                         known = found.setdefault(name, (np.dtype(kind), shape[1:], []))
                         if known[:2] == (np.dtype(kind), shape[1:]):
                             known[2].append((number * total + first, f"fields/{family.file(index)}", key, shape))
-            first += len(family.points if place == "point" else family.cells)
+            first += family.counts[place]
         return found
+
+
+def _connectivity(families: Sequence[FieldWriter]) -> Iterator[Ints]:
+    first = 0
+    for family in families:
+        for part in family.cells.parts:
+            yield part[part >= 0] + first
+        first += family.counts["point"]
+
+
+def _sizes(families: Sequence[FieldWriter]) -> Iterator[Ints]:
+    return ((part >= 0).sum(axis=1) for family in families for part in family.cells.parts)
+
+
+def _offsets(families: Sequence[FieldWriter]) -> Iterator[Ints]:
+    last: Ints = np.zeros(1, dtype=np.int64)
+    yield last
+    for sizes in _sizes(families):
+        found = last[-1] + np.cumsum(sizes)
+        yield found
+        last = found if len(found) else last
 
 
 def _view(group: h5py.Group, name: str, kind: Any, shape: tuple[int, ...], sources: Sequence[Source]) -> None:

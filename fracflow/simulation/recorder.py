@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import warnings
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,9 +18,7 @@ from fracflow.advance.step import Step
 from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
-from fracflow.mesh.data import Floats, is_unmeshed
 from fracflow.mesh.locate import FracturePlace
-from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.mesh.slabs import on_rank_0
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
@@ -31,8 +29,9 @@ from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import restoring, state_arrays, write_checkpoint
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
-from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
+from fracflow.output.probes import fracture_fields, measured, probe_record, well_record
 from fracflow.output.profiles import ProfileFile, Timetable, intervals
+from fracflow.output.rock import rock_slabs, shown_rock
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
@@ -92,9 +91,23 @@ class Recorder:
         self.profiles = Timetable(**self.totals.profiles)
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
         self._notices = Notices(model, self.totals, self.log)
-        self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
+        self.files = self._opened(facts, notes)
         if comm.bcast(self.files is not None and bool(self.files.profiles.lost), root=0):
             self.profiles, self.totals.profiles = Timetable(), {}
+
+    def _opened(self, facts: ReductionInput, notes: Notes) -> Files | None:
+        """The files, on rank 0, which the others give points and cells meanwhile. Collective."""
+        blocks, mesh = self.model.operators.blocks, self.model.mesh
+
+        def work() -> Files:
+            with shown_rock(blocks, mesh) as rock:
+                assert rock is not None
+                return Files(self.model, facts, self._folder, notes, rock)
+
+        if self.comm.rank:
+            with shown_rock(blocks, mesh):
+                pass
+        return on_root(self.comm, work)
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
@@ -180,10 +193,12 @@ class Recorder:
         return index == 0 or bool(every and index % every == 0)
 
     def _fields(self, sample: sampling.StateSampler, index: int, whole: bool = True) -> None:
-        ends, motion = sample.fields(self.sampler.fields), sample.motion() if whole else None
-        if ends is not None:
-            values = fracture_fields(self.sampler.fields, ends)
-            self._write(lambda files: files.fields(index, sample.state, values, motion))
+        ends = sample.fields(self.sampler.fields)
+        none: AbstractContextManager[Mapping[str, Slabs] | None] = nullcontext({})
+        with rock_slabs(sample, self.model.mesh) if whole else none as rock:
+            if ends is not None and rock is not None:
+                values = fracture_fields(self.sampler.fields, ends)
+                self._write(lambda files: files.fields(index, sample.state, values, rock))
 
     @timed("FracOutput", "Output")
     def save(self, step: Step, finished: bool = False) -> None:
@@ -243,8 +258,13 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(self, model: Model, facts: ReductionInput, folder: Path, notes: Notes = None) -> None:
-        """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
+    def __init__(
+        self, model: Model, facts: ReductionInput, folder: Path, notes: Notes, rock: tuple[Slabs, Slabs]
+    ) -> None:
+        """Make the folder and open history, events and fields, or go on with those there. Raises InputError.
+
+        rock  points and cells that the fields show
+        """
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
         self.measured = measured(model.scene, model.mesh, model.placed.probes)
@@ -253,6 +273,7 @@ class Files:
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
             self._open(model, facts, notes, scene, before)
+            self._open_fields(notes is not None, rock)
         except BaseException:
             self.folder.close()
             raise
@@ -322,13 +343,13 @@ class Files:
         self.parts = np.bincount(self.inverse, is_apart, self.count) > 0.0
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
-        resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
-        shown = map_cells(self.mesh) if is_unmeshed(self.mesh.cells) else (self.mesh.points, self.mesh.cells)
-        self.rock = FieldWriter(path, "rock", *shown, names, resumes)
+
+    def _open_fields(self, resumes: bool, rock: tuple[Slabs, Slabs]) -> None:
+        path, names = self.folder.path, {"rocks": list(self.mesh.rocks)}
+        self.rock = FieldWriter(path, "rock", *rock, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
-        names = {"fractures": list(self.mesh.fractures)}
-        self.fractures = FieldWriter(path, "fractures", ends, lines, names, resumes)
+        self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
         self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
@@ -414,11 +435,10 @@ class Files:
                 self.vtkhdf.update(is_last=True)  # its data have gone
         self.extra = index
 
-    def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
-        """Fields of fractures at ends (joints, 2, k) and, with a ``motion`` (n, 2, k), of the rock for ParaView."""
-        if motion is not None:
-            point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state)
-            self.rock.write(index, state.time, point_data, cell_data)
+    def fields(self, index: int, state: State, values: Mapping[str, Any], rock: Mapping[str, Slabs]) -> None:
+        """Fields of fractures at ends (joints, 2, k) and, unless there are none, of the rock for ParaView."""
+        if rock:
+            self.rock.write_stored(index, state.time, rock)
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
         if self.vtkhdf is not None:
             self.vtkhdf.update()

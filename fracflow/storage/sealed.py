@@ -132,7 +132,9 @@ def write_sealed(path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Any]
 
 
 def whole(values: Any) -> Slabs:
-    """An array of which all is there, as one slab."""
+    """An array of which all is there, as one slab; slabs stay as they are."""
+    if isinstance(values, Slabs):
+        return values
     found = np.asarray(values)
     return Slabs(found.dtype, found.shape, [found])
 
@@ -202,6 +204,11 @@ class SealedFile:
     def layout(self) -> Layout:
         """Types and shapes of its arrays."""
         return self._seal.layout
+
+    @property
+    def notes(self) -> Mapping[str, Any]:
+        """Its attributes."""
+        return self._seal.notes
 
     def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
         """Rows (n, ...) of an array, of whole pieces, as they were sealed. Raises InputError."""
