@@ -8,7 +8,7 @@ along the fractures, int D.t/int |D|.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -29,7 +29,7 @@ PART = "sides and mesh of the rock"
 CRITERION = "stress of all fractures on the sides, over the change of stress along them"
 SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fracture, in the mean of all directions
 ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: at most, as random scenes show
-PLACES = 16  # along a side, where stresses are looked at
+PLACES = 16  # along a side, and from bend to bend of a trace, where stresses and distances are looked at
 PER_FRACTURE = 16  # joints, where the scene states no size
 TIPPED = 12.0  # joints that finer tips add to a fracture
 AT_TIPS = 4.0  # times finer joints at tips than elsewhere
@@ -79,22 +79,40 @@ def why_meshed(scene: Scene) -> str:
 def estimated(scene: Scene) -> float:
     """Error of leaving out the sides, by the lengths of fractures and their distances from the sides [1]."""
     assert scene.geometry is not None
-    places = _along_sides(scene)
-    total = np.zeros(len(places))
+    total = 0.0
     for trace in scene.geometry.fracture:
-        points = np.array(trace.points, dtype=float)
-        half = 0.5 * np.linalg.norm(np.ptp(points, axis=0))
-        away = np.linalg.norm(places - 0.5 * (points.min(axis=0) + points.max(axis=0)), axis=1) - 0.5 * half
-        total += (half / np.maximum(away, 1e-3 * half)) ** 2
-    return float(ANSWER * SHED * total.max())
+        points = _places(trace.points)
+        half = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+        away = min(float(np.linalg.norm(points - near, axis=1).min()) for near in _nearest(scene, points))
+        total += (half / max(away, 1e-3 * half)) ** 2
+    return ANSWER * SHED * total
 
 
 def _along_sides(scene: Scene) -> Floats:
-    """Places (m, 2) along the sides."""
+    """Places (m, 2) along the sides, evenly and where fractures are nearest to them."""
     assert scene.geometry is not None
     corners = np.array(scene.geometry.outline, dtype=float)
     share = ((np.arange(PLACES) + 0.5) / PLACES)[:, None, None]
-    return np.asarray((corners + share * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2))
+    even = (corners + share * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+    traces = [_places(trace.points) for trace in scene.geometry.fracture]
+    return np.concatenate([even, *(near for points in traces for near in _nearest(scene, points))])
+
+
+def _places(trace: Sequence[Sequence[float]]) -> Floats:
+    """Places (n, 2) along a trace, its bends among them."""
+    points = np.array(trace, dtype=float)
+    share = (np.arange(PLACES) / PLACES)[:, None, None]
+    return np.concatenate([(points[:-1] + share * np.diff(points, axis=0)).reshape(-1, 2), points[-1:]])
+
+
+def _nearest(scene: Scene, points: Floats) -> Iterator[Floats]:
+    """The places (n, 2) of each side that are nearest to the points (n, 2)."""
+    assert scene.geometry is not None
+    corners = np.array(scene.geometry.outline, dtype=float)
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = end - start
+        share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+        yield start + share[:, None] * along
 
 
 def _cpu(scene: Scene) -> tuple[float, float]:

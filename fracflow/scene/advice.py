@@ -33,6 +33,8 @@ USUAL = {
         "normal_stiffness": (STIFFNESS, 1e6, 1e16),
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),
         "aperture": (LENGTH, 1e-7, 0.1),
+        "hydraulic_aperture": (LENGTH, 1e-8, 0.02),
+        "hydraulic_opening_ratio": ("", 0.01, 2.0),
         "friction_coefficient": ("", 0.01, 2.0),
         "direct_effect": ("", 1e-4, 0.1),
         "evolution_effect": ("", 1e-4, 0.1),

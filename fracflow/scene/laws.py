@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from difflib import get_close_matches
@@ -97,8 +98,16 @@ def check(law: str, table: Mapping[str, Any]) -> None:
             raise fault(f"missing; the law {law} needs it", key=field.name)
 
 
-def check_dilation(dilates: bool, has_distance: bool) -> None:
-    """Raise the fault of a table that does not say over which slip its walls dilate."""
+def check_dilation(dilates: bool, has_distance: bool, steepest: float, friction: float) -> None:
+    """Raise the fault of a table that does not say over which slip its walls dilate, or whose slip would give energy.
+
+    steepest  largest angle of dilation [degree]
+    friction  smallest coefficient of friction: walls that ride up more steeply lift more than friction takes
+    """
+    if dilates and math.tan(math.radians(steepest)) > friction:
+        most = math.degrees(math.atan(friction))
+        text = f"must be at most the angle of friction, {most:.3g}: steeper walls would give energy as they slip"
+        raise fault(f"out of range; {text}", key="dilation_angle_deg")
     if dilates and not has_distance:
         raise fault("missing; dilation_angle_deg needs it: give the slip that wears the walls", key="dilation_distance")
 

@@ -181,7 +181,8 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
         check(self.law, vars(self))
-        check_dilation(self.dilates, self.dilation_distance is not None)
+        ends = (_largest(self.dilation_angle_deg), -_largest(self.friction, -1.0))
+        check_dilation(self.dilates, self.dilation_distance is not None, *ends)
         for name, value in defaults(self.law).items():
             if getattr(self, name) is None:
                 self.__dict__[name] = value  # so that the table that is written back says it
@@ -221,9 +222,7 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     @property
     def dilates(self) -> bool:
         """Whether slip opens it anywhere."""
-        angle = self.dilation_angle_deg
-        given = max(angle.values) if isinstance(angle, Profile) else angle
-        return given > 0.0 and not JOINT_LAWS[self.law].passes_over
+        return _largest(self.dilation_angle_deg) > 0.0 and not JOINT_LAWS[self.law].passes_over
 
     @property
     def leak_permeability(self) -> float:
@@ -244,6 +243,12 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
         if isinstance(angle, Profile):
             return Profile(angle.along, tuple(math.tan(math.radians(each)) for each in angle.values))
         return math.tan(math.radians(angle or 0.0))
+
+
+def _largest(given: Property, sign: float = 1.0) -> float:
+    """The largest value of a property along its trace, of one sign or the other."""
+    values = given.values if isinstance(given, Profile) else (given,)
+    return max(sign * value for value in values)
 
 
 class Fluid(Table):

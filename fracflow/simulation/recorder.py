@@ -189,8 +189,7 @@ class Recorder:
         self.totals.profiles = asdict(self.profiles)
 
     def _wants_fields(self, index: int) -> bool:
-        every = self.model.scene.output.fields_every
-        return index == 0 or bool(every and index % every == 0)
+        return index == 0 or bool((every := self.model.scene.output.fields_every) and index % every == 0)
 
     def _fields(self, sample: sampling.StateSampler, index: int, whole: bool = True) -> None:
         ends = sample.fields(self.sampler.fields)
@@ -401,9 +400,8 @@ class Files:
         to = self.inverse, self.count
         sliding, is_open = (self.parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
-            stage = self.scene.stage[step.stage].title
-            when = self.scene.time_text(state.time)
-            self.folder.log(marked(f"time {when}: stage {stage}: {line}: {self._advice()}"))
+            when = f"time {self.scene.time_text(state.time)}: stage {self.scene.stage[step.stage].title}"
+            self.folder.log(marked(f"{when}: {line}: {self._advice()}"))
         slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:

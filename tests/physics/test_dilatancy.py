@@ -180,6 +180,7 @@ def test_resumed_to_the_last_bit(shared_tmp):
 
 OF = "fracture.seam"
 REFUSED = {
+    f"{OF}.dilation_angle_deg=40": r"dilation_angle_deg = 40: out of range; must be at most the angle of friction, 31",
     f"{OF}.dilation_angle_deg=-1": r"fracture\.seam\.dilation_angle_deg = -1: out of range",
     f"{OF}.dilation_distance=0": r"fracture\.seam\.dilation_distance = 0",
     f"{OF}={{normal_stiffness = 1, shear_stiffness = 1, aperture = 1, friction_angle_deg = 30, dilation_angle_deg = 5}}":

@@ -131,6 +131,8 @@ def test_with_inertia_and_events_over_a_stop(shared_tmp, comm, stepper):
             assert np.allclose(one[key], other[key], rtol=0.0, atol=1e-6 * np.abs(one[key]).max()), key
     largest = max(np.abs(one[key]).max() for key in one if key.startswith("energy/"))
     assert np.abs(one["energy/residual"]).max() < 1e-10 * largest and one["volume/leak_off"].any()
+    passed = max(np.abs(one[key]).max() for key in one if key.startswith("volume/"))
+    assert np.abs(one["volume/unaccounted"]).max() < 1e-10 * passed
 
 
 CLOSED = """
