@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -311,7 +312,8 @@ class StateSampler:
         """Displacement, velocity and acceleration (n, 3, dim) at this rank's nodes, its ghosts too."""
         blocks = self.sampler.operators.blocks
         owned, rows = self._motion(np.arange(blocks.solid.owned)), np.arange(blocks.solid.owned)
-        found = summed_at_nodes(blocks, rows, owned.reshape(len(rows), -1)).reshape(-1, *owned.shape[1:])
+        flat = owned.reshape(len(rows), math.prod(owned.shape[1:]))  # a rank may have no nodes
+        found = summed_at_nodes(blocks, rows, flat).reshape(-1, *owned.shape[1:])
         found[: len(rows)] = owned
         return found
 
