@@ -28,12 +28,12 @@ from fracflow.solve.rock_cost import direct
 PART = "sides and mesh of the rock"
 CRITERION = "stress of all fractures on the sides, over the change of stress along them"
 SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fracture, in the mean of all directions
-ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: at most, as random scenes show
+ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: a margin
 PLACES = 16  # along a side, and from bend to bend of a trace, where stresses and distances are looked at
 PER_FRACTURE = 16  # joints, where the scene states no size
 TIPPED = 12.0  # joints that finer tips add to a fracture
 AT_TIPS = 4.0  # times finer joints at tips than elsewhere
-DENSE = 2.2  # CPU s of a factorisation for 1000 joints; it goes as the cube of their number
+DENSE = 2.2  # CPU s for 1000 joints, as a whole step takes; it goes as the cube of their number
 CLEARLY = 2.0  # times less CPU time of a factorisation
 LEAST = 0.02  # CPU s of one: less is not worth another model
 

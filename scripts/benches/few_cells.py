@@ -2,7 +2,8 @@
 
 A fault of 100 m is loaded above its strength, slips at once and comes to rest. Prints its slip for each number of cells, and
 its loss against the limit of the last three numbers, each twice the one before. Exit code 1 where a loss is above twice that
-which the log foretells, or below half of it. The defaults take 10 CPU s.
+which the log foretells, or below half of it. It foretells none for ratios below 0.25, where slip has no order in the number
+of cells. The defaults take 5 CPU s.
 """
 
 from __future__ import annotations
