@@ -17,6 +17,7 @@ from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
+from fracflow.reduction.decision import TOLERANCE
 from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
@@ -40,6 +41,9 @@ MOST_JOINTS = 1000  # that are proposed in rock that is not meshed, whose stiffn
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
+STIFFER, COARSER = 0.28, 0.74  # opening of a crack that is missing: over growth squared, and over joint by length
+OUTWEIGHS = 2.0  # times the error of joints
+STIFF = "rock whose cells grow faster is too stiff by more than the joints make it, however fine these are"
 PER_TRIANGLE = 4.0 / 3.0**0.5  # cells of size h in an area h^2
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
@@ -269,17 +273,18 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     domain, traces = np.array(geometry.outline), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
-        if geometry.growth is not None:
+        if not len(traces):
             return snap, why
-        if not _weakens(scene):
-            return snap | ({"growth": USUAL} if len(traces) else {}), why
+        growth, reason = _beside(scene, typical)
+        if geometry.growth is not None:
+            return snap, [*why, *_stated_growth(geometry.growth, growth)]
+        if growth == USUAL:
+            return snap | {"growth": USUAL}, why
         fine = geometry.size_at_fractures or geometry.size
-        if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
-            return snap, [
-                *why,
-                note(f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"),
-            ]
-        return snap | {"growth": GENTLE}, [*why, note(f"geometry.growth = {GENTLE:g}: {LATE}")]
+        if cell_count(geometry.size, fine, area, total, growth) > MOST_CELLS:
+            dear = f"geometry.growth = {USUAL:g}: {growth:g} would take over {MOST_CELLS} cells; {reason}"
+            return snap, [*why, note(dear)]
+        return snap | {"growth": growth}, [*why, note(f"geometry.growth = {growth:g}: {reason}")]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_listed=False)
     fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
@@ -348,6 +353,26 @@ def _growth(scene: Scene, geometry: Geometry) -> float:
     if geometry.growth is not None:
         return geometry.growth
     return GENTLE if _weakens(scene) else GROWTH
+
+
+def _beside(scene: Scene, typical: float) -> tuple[float, str]:
+    """Growth of cells beside joints of a stated size, and why: the error of one is that of the other, or slip needs less."""
+    assert scene.geometry is not None
+    if _weakens(scene):
+        return GENTLE, LATE
+    fine = scene.geometry.size_at_fractures or scene.geometry.size
+    assert fine is not None
+    return min(USUAL, _three_digits((COARSER / STIFFER * fine / typical) ** 0.5)), STIFF
+
+
+def _stated_growth(growth: float, alike: float) -> Iterator[str]:
+    """A word on a growth that leaves a larger error than the joints, and than TOLERANCE."""
+    missing = STIFFER * growth**2
+    if missing > max(TOLERANCE, OUTWEIGHS * STIFFER * alike**2):
+        yield note(
+            f"geometry.growth = {growth:g}: openings are some {missing:.1%} too small, however fine the joints are;"
+            f" {alike:.2g} leaves {STIFFER * alike**2:.1%}"
+        )
 
 
 def _weakens(scene: Scene) -> bool:

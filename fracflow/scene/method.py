@@ -221,8 +221,8 @@ class Geometry(Table):
     """mesh size at ends of fractures inside the rock, in an unbounded domain also where they meet [length]; as
     size_at_fractures if not given"""
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = None
-    """growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken with
-    slip [1]"""
+    """growth of the mesh size per length away from the fractures; if not given, 1.6 (joint/fracture length)^(1/2), at most 0.3,
+    or 0.1 where these weaken with slip [1]"""
     snap: Size | None = None
     """longest miss that is closed [length]: points of traces within it become one; an end or bend within it of a trace or
     side moves onto it; an end no farther beyond what it crosses is taken back. A crossing moves to points alone. Larger misses
