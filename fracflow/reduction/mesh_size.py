@@ -12,12 +12,11 @@ from fracflow.diagnostics.fracture_flow import EVENT_STEPS
 from fracflow.diagnostics.joints import cell_rocks, gather
 from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.integrators import stepper_from
-from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
-from fracflow.reduction.decision import TOLERANCE
+from fracflow.reduction.cell_growth import coarse_beside, growth_beside, has_tip, of_stated, weakens
 from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
@@ -40,10 +39,6 @@ MOST_CELLS = 100_000
 MOST_JOINTS = 1000  # that are proposed in rock that is not meshed, whose stiffness is dense
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
-LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
-STIFFER, COARSER = 0.28, 0.74  # opening of a crack that is missing: over growth squared, and over joint by length
-OUTWEIGHS = 2.0  # times the error of joints
-STIFF = "rock whose cells grow faster is too stiff by more than the joints make it, however fine these are"
 PER_TRIANGLE = 4.0 / 3.0**0.5  # cells of size h in an area h^2
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
@@ -275,9 +270,9 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if geometry.size is not None:
         if not len(traces):
             return snap, why
-        growth, reason = _beside(scene, typical)
+        growth, reason = growth_beside(scene, typical_length(traces[has_tip(geometry, domain)]))
         if geometry.growth is not None:
-            return snap, [*why, *_stated_growth(geometry.growth, growth)]
+            return snap, [*why, *of_stated(geometry.growth, growth)]
         if growth == USUAL:
             return snap | {"growth": USUAL}, why
         fine = geometry.size_at_fractures or geometry.size
@@ -352,33 +347,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
 def _growth(scene: Scene, geometry: Geometry) -> float:
     if geometry.growth is not None:
         return geometry.growth
-    return GENTLE if _weakens(scene) else GROWTH
-
-
-def _beside(scene: Scene, typical: float) -> tuple[float, str]:
-    """Growth of cells beside joints of a stated size, and why: the error of one is that of the other, or slip needs less."""
-    assert scene.geometry is not None
-    if _weakens(scene):
-        return GENTLE, LATE
-    fine = scene.geometry.size_at_fractures or scene.geometry.size
-    assert fine is not None
-    return min(USUAL, _three_digits((COARSER / STIFFER * fine / typical) ** 0.5)), STIFF
-
-
-def _stated_growth(growth: float, alike: float) -> Iterator[str]:
-    """A word on a growth that leaves a larger error than the joints, and than TOLERANCE."""
-    missing = STIFFER * growth**2
-    if missing > max(TOLERANCE, OUTWEIGHS * STIFFER * alike**2):
-        yield note(
-            f"geometry.growth = {growth:g}: openings are some {missing:.1%} too small, however fine the joints are;"
-            f" {alike:.2g} leaves {STIFFER * alike**2:.1%}"
-        )
-
-
-def _weakens(scene: Scene) -> bool:
-    """Whether the strength of a fracture falls over a length of slip."""
-    assert scene.geometry is not None
-    return any(JOINT_LAWS[scene.fracture_named(trace.name).law].weakens_over for trace in scene.geometry.fracture)
+    return GENTLE if weakens(scene) else GROWTH
 
 
 def _trace_lengths(geometry: Geometry) -> Floats:
@@ -434,35 +403,3 @@ def _why(key: str, found: list[Need]) -> str:
 
 def _spot(point: Floats) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"
-
-
-def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]:
-    """A line for each fracture whose joints may resolve where slip runs away, and the rock beside it, of ``edges`` (m,), not.
-
-    Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.
-    """
-    may_run_away = any(stage.kind != "dynamic" for stage in view.scene.stage)  # onset of slip in rock at rest
-    if not view.weakens.any() or not may_run_away:
-        return []
-    from scipy.spatial import cKDTree  # imports much
-
-    joints, growth = view.joints, getattr(view.scene.geometry, "growth", None)
-    remedy = "refine" if growth is not None and growth <= GENTLE else f"geometry.growth = {GENTLE:g}, or refine"
-    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
-    reach = np.nanmin(np.where(view.weakens, slip.nucleation_lengths(view), np.inf), axis=1)
-    weak = np.flatnonzero(np.isfinite(reach))
-    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
-    away, nearest = cKDTree(middle[weak]).query(corners.mean(axis=1)) if len(weak) else (np.zeros(0), np.zeros(0, int))
-    lines = []
-    for number, name in enumerate(joints.names):
-        own = weak[nearest]
-        here = joints.fracture[own] == number
-        here &= (away > 2.0 * joints.length[own]) & (away < reach[own])
-        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum()) if here.any() else 0.0
-        if grows > GENTLE:
-            lines.append(
-                f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
-                f" {reach[own[here]].min():.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"
-                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: {remedy}"
-            )
-    return lines

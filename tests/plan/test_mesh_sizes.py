@@ -284,13 +284,11 @@ def test_finer_joints_alone_make_a_crack_exact(tmp_path):
         return 1.0 - read_history(tmp_path / "history.h5")["probe/middle/opening"][-1] / exact, sized(scene)
 
     (coarse, _), (fine, scene) = missing(0.8), missing(0.2)
-    assert 0.02 < coarse < 0.045 and fine < 0.3 * coarse and scene.geometry.growth == pytest.approx(0.114)
+    assert 0.02 < coarse < 0.045 and fine < 0.3 * coarse and scene.geometry.growth == 0.11
     (_, left), (stays, told) = missing(0.8, growth=0.3), missing(0.2, growth=0.3)
     assert stays > 0.025
-    assert (
-        sized(scene_of([[[30, 50], [70, 50]]], geometry={"size": 10.0, "size_at_fractures": 2.0})).geometry.growth
-        == 0.3
-    )
+    cut = sized(scene_of([[[0, 20], [100, 60]]], geometry={"size": 10.0, "size_at_fractures": 0.5})).geometry
+    assert cut.growth == 0.3  # it has no end in the rock
     assert "openings are some 2.5% too small" in "".join(told.notes) and "too small" not in "".join(left.notes)
 
 
