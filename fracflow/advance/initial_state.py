@@ -10,6 +10,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
+from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import outer_besides
 from fracflow.model.balance import static_balance
@@ -214,9 +215,9 @@ def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
     spots = np.concatenate(comm.allgather(there))
 
     def unnamed() -> tuple[str, ...]:
-        mesh = model.mesh
-        if mesh is None or not len(spots):
+        if model.mesh is None or not len(spots):
             return ()
+        mesh = whole_mesh(model.mesh)  # of a scene that is refused, once
         known = np.concatenate([mesh.side_facets, mesh.joint_bottom, mesh.joint_top])
         outer = mesh.points[outer_besides(mesh.cells, known)].reshape(-1, spots.shape[1])
         on = spots[(spots[:, None] == outer).all(axis=2).any(axis=1)]

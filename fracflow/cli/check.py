@@ -11,6 +11,7 @@ from fracflow.advance.cost import cost_of_events
 from fracflow.advance.explicit import explicit_cost
 from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
+from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.model.network_parts import parts_with_wells
@@ -57,7 +58,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     blocks = model.operators.blocks
     held = held_walls(blocks) if model.scene.is_unbounded else blocks.solid.unused
     found = {
-        **summary(model.mesh),
+        **summary(whole_mesh(model.mesh)),
         "displacement unknowns": int(layout.solid_starts[-1]) - len(held),
         "pressure unknowns": int(layout.flow_starts[-1]),
         "steps": steps,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -161,15 +161,20 @@ def _in_series(sides: Floats) -> Floats:
 
 
 def cell_rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
-    """Properties (m,) of the rock of each cell; a rigid one has infinite moduli."""
-    tables = [scene.rock[name] for name in mesh.rocks]
+    """Properties (m,) of the rock of each cell, as of ``rock_values``."""
+    return {key: values[mesh.cell_rock] for key, values in rock_values(scene, mesh.rocks).items()}
+
+
+def rock_values(scene: Scene, rocks: Sequence[str]) -> dict[str, Floats]:
+    """Properties (r,) of rocks by their names; a rigid one has infinite moduli."""
+    tables = [scene.rock[name] for name in rocks]
     rigid = np.array([rock.rigid for rock in tables], dtype=float)
     young = np.array([np.inf if r.rigid or r.youngs_modulus is None else r.youngs_modulus for r in tables])
     nu = np.array([0.0 if r.rigid or r.poissons_ratio is None else r.poissons_ratio for r in tables])
     density = np.array([np.nan if r.density is None else r.density for r in tables])
     wave = np.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
     shear = young / (2.0 * (1.0 + nu))
-    found = {
+    return {
         "modulus": young / (1.0 - nu**2),
         "shear_modulus": shear / (1.0 - nu),
         "shear": shear,
@@ -178,7 +183,6 @@ def cell_rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
         "density": density,
         "rigid": rigid,
     }
-    return {key: values[mesh.cell_rock] for key, values in found.items()}
 
 
 def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats) -> Floats:
@@ -193,11 +197,13 @@ def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats
     wall = np.broadcast_to(0.5 * length[:, None, None], faces.shape)
     of_wall = np.bincount(faces.ravel(), wall.ravel(), count)
     per_length = np.divide(at_node, of_wall, out=np.zeros(count), where=of_wall > 0.0)[faces].mean(axis=2)
+    uncut = mesh.uncut
     for number in range(len(mesh.rocks)):
         inside = mesh.cell_rock == number
         if inside.any() and rigid[inside].all():
             sides = mesh.cell_rock[mesh.joint_cells] == number
-            per_length[sides] = volume[inside].sum() / max(float((length[:, None] * sides).sum()), 1e-300)
+            whole = density[inside][0] * _areas(uncut)[uncut.cell_rock == number].sum()
+            per_length[sides] = whole / max(float((length[:, None] * sides).sum()), 1e-300)
     return per_length
 
 
@@ -212,13 +218,14 @@ def _depths(mesh: SplitMesh, length: Floats) -> Floats:
     """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any, or no cells."""
     if is_unmeshed(mesh.cells):
         return np.full(len(mesh.cells), np.inf)
-    cells, nodes = np.nonzero(mesh.cells >= 0)[0], mesh.cells[mesh.cells >= 0]
-    count = len(mesh.cells)
-    block = components(cells, count + nodes, count + len(mesh.points))[:count]
-    area = np.bincount(block, _areas(mesh))
-    along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
+    uncut, parent = mesh.uncut, np.arange(len(mesh.cells)) // mesh.children  # cuts change neither blocks nor areas
+    cells, nodes = np.nonzero(uncut.cells >= 0)[0], uncut.cells[uncut.cells >= 0]
+    count = len(uncut.cells)
+    block = components(cells, count + nodes, count + len(uncut.points))[:count]
+    area = np.bincount(block, _areas(uncut))
+    along = np.bincount(block[parent[mesh.joint_cells]].ravel(), np.repeat(length, 2), len(area))
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth: Floats = (area / along)[block]
+        depth: Floats = (area / along)[block[parent]]
     return depth
 
 

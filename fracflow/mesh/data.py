@@ -63,6 +63,7 @@ class SplitMesh:
     named_points   name -> raw node
     notes          what was changed in the traces before meshing, a line each
     cuts           how often each cell is cut in four once it is on its rank
+    near           how many cells come first, with all that is on them; -1 where all do. See ``mesh.near_cells``
     coarse         the mesh, with ``cuts``, that this one was made from; None where none was
     """
 
@@ -86,7 +87,28 @@ class SplitMesh:
     named_points: dict[str, int]
     notes: tuple[str, ...] = ()
     cuts: int = 0
+    near: int = -1
     coarse: SplitMesh | None = None
+
+    @property
+    def uncut(self) -> SplitMesh:
+        """The whole mesh before its cells were cut: itself where none were."""
+        return self.coarse or self
+
+    @property
+    def children(self) -> int:
+        """How many cells were made of each cell of ``uncut``: those of the cell c are the next ones from children * c on."""
+        return 1 if self.coarse is None else 4**self.coarse.cuts
+
+    @property
+    def pieces(self) -> int:
+        """How many joints were made of each joint of ``uncut``, numbered as cells are."""
+        return 1 if self.coarse is None else 2**self.coarse.cuts
+
+    @property
+    def near_count(self) -> int:
+        """How many cells come first, or all."""
+        return len(self.cells) if self.near < 0 else self.near
 
 
 def is_unmeshed(cells: Ints) -> bool:

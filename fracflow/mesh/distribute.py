@@ -90,7 +90,7 @@ def distribute(
     Of a mesh that was made from a coarse one, ranks get the cells of that.
 
     ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
-    cell_rank  (m,) where the cells go once they are cut, on rank 0; else the partitioner says
+    cell_rank  (m,) where the cells go, as they are before they are cut, on rank 0; else the partitioner says
     """
     from mpi4py.util.pkl5 import Intracomm  # sends arrays as they are, which may be larger than 2 GiB
 
@@ -98,8 +98,8 @@ def distribute(
     common: Common | None = None
     counts: Counts | None = None
     if mesh is not None:
-        mesh = mesh.coarse or mesh
-        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank[:: 4**mesh.cuts]
+        mesh = mesh.uncut
+        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank
         owners, common, counts = owned(mesh, cell_rank, comm.size, rigid_rocks)
         common = replace(common, ties=np.zeros((0, 2), np.int64) if ties is None else ties)
         joint_rank, side_rank = cell_rank[mesh.joint_cells[:, 0]], cell_rank[mesh.side_cell]
@@ -174,7 +174,7 @@ def owned(
     if mesh.cuts:
         is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
         cell_body = np.where(is_rigid, body[mesh.cells[:, 0]], -1)
-        edges, counts = number_edges(mesh, len(mesh.cells), cell_rank, cell_body, size)
+        edges, counts = number_edges(mesh, cell_rank, cell_body, size)
     cut_joints = int(np.count_nonzero(joint_rank != cell_rank[mesh.joint_cells[:, 1]]))
     sizes = Sizes(dim, len(mesh.points), len(mesh.cells), len(mesh.joint_bottom), len(mesh.flow_origin), cut_joints)
     if counts is not None:

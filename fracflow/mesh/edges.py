@@ -9,13 +9,13 @@ from fracflow.mesh.plane.cut import Counts
 from fracflow.mesh.share import Edges
 
 
-def number_edges(mesh: SplitMesh, near: int, cell_rank: Ints, cell_body: Ints, size: int) -> tuple[Edges, Counts]:
-    """All edges of the cells, those of the first ``near`` cells first, and the counts of the mesh.
+def number_edges(mesh: SplitMesh, cell_rank: Ints, cell_body: Ints, size: int) -> tuple[Edges, Counts]:
+    """All edges of the cells, those of its near cells first, and the counts of the mesh.
 
     cell_rank  (m,) of so many ranks
     cell_body  (m,) rigid body of each cell, -1 for none
     """
-    cells, many = mesh.cells, len(mesh.points)
+    cells, many, near = mesh.cells, len(mesh.points), mesh.near_count
     is_quad = (cells >= 0).sum(axis=1) == 4
     row, corner = np.nonzero(cells >= 0)
     after = cells[row, (corner + 1) % np.where(is_quad[row], 4, 3)]

@@ -169,8 +169,8 @@ def point_along(mesh: SplitMesh, fracture: str, distance: float, what: str) -> F
     return result
 
 
-def _covering(points: Floats, cells: Ints, point: Floats) -> int | None:
-    """The counter-clockwise cell that a point lies in, or is nearer to than round-off; None where there is none."""
+def covering(points: Floats, cells: Ints, point: Floats) -> int | None:
+    """The one of counter-clockwise cells (m, k) that a point (dim,) lies in, up to round-off; None where there is none."""
     corners = points[np.where(cells < 0, cells[:, :1], cells)]
     sides = np.roll(corners, -1, axis=1) - corners
     away = point - corners
@@ -186,7 +186,7 @@ def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> Rock
     if is_unmeshed(mesh.cells):
         return RockPlace(0, point, np.zeros(1, dtype=np.int64), mesh.cells[:1])
     chosen = np.ones(len(mesh.cells), dtype=bool) if rock is None else mesh.cell_rock == mesh.rocks.index(rock)
-    cell = _covering(mesh.points, mesh.cells[chosen], point)
+    cell = covering(mesh.points, mesh.cells[chosen], point)
     if cell is None:
         inside = "the mesh" if rock is None else f'rock "{rock}"'
         raise InputError(f"{what}: at = {point.tolist()}: is outside {inside}; move it in")

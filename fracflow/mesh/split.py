@@ -265,7 +265,7 @@ def joined_ends(mesh: SplitMesh, ends: Ints) -> SplitMesh:
 
 
 def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
-    """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
+    """The mesh, before its cells are cut, as if there were none of the fractures chosen (f,), which share no node with others.
 
     Cells keep their numbers, and nodes their order; copies, joints, flow nodes and fractures are numbered anew.
     """
@@ -291,5 +291,4 @@ def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
         flow_origin=renamed[mesh.flow_origin[~is_shut[mesh.flow_origin]]],
         side_facets=renamed[mesh.side_facets],
         named_points={name: int(renamed[node]) for name, node in mesh.named_points.items()},
-        coarse=None,
     )

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.mesh.cut_mesh import cut_mesh
+from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import SplitMesh
+from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
 MOST_CUTS = 12
 _TEXTS = ("rocks", "fractures", "sides", "notes")
+_LATER = {"cuts": 0, "near": -1}
 _REALS = ("points", "joint_along")
 _PARTS = tuple(field.name for field in fields(SplitMesh) if field.name != "coarse")
 
@@ -33,7 +35,7 @@ def save_mesh(mesh: SplitMesh, path: Path) -> str:
 
 
 def load_mesh(path: Path, root: str = "") -> SplitMesh:
-    """Read a mesh that was saved, with the ``root`` of its seal where that is known, and cut its cells.
+    """Read a mesh that was saved, with the ``root`` of its seal where that is known; of one that is cut, the near cells.
 
     Raises InputError where there is none.
     """
@@ -43,7 +45,7 @@ def load_mesh(path: Path, root: str = "") -> SplitMesh:
         _check(mesh)
     except (KeyError, ValueError) as error:
         raise InputError(f"{path}: {_NO_MESH} ({error}); {AGAIN}") from None
-    return cut_mesh(mesh)
+    return near_mesh(mesh)
 
 
 def mesh_root(path: Path) -> str:
@@ -54,8 +56,8 @@ def mesh_root(path: Path) -> str:
 def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: str) -> Any:
     if name in arrays:
         return arrays[name]
-    if name == "cuts" and name not in texts:  # of a mesh that an earlier version saved
-        return 0
+    if name in _LATER and name not in texts:  # of a mesh that an earlier version saved
+        return _LATER[name]
     value = json.loads(str(texts[name]))
     return tuple(value) if isinstance(value, list) else value
 
@@ -102,6 +104,8 @@ def _check(mesh: SplitMesh) -> None:
             raise ValueError(f"{name} has values that are no numbers")
     if type(mesh.cuts) is not int or not 0 <= mesh.cuts <= MOST_CUTS:
         raise ValueError("cuts are no number of cuts")
+    if type(mesh.near) is not int or not -1 <= mesh.near <= cells or not has_near_first(mesh):
+        raise ValueError("near is no number of cells that come first")
     points = mesh.named_points
     if not isinstance(points, dict) or not all(type(at) is int and 0 <= at < nodes for at in points.values()):
         raise ValueError("named_points has numbers of no nodes")

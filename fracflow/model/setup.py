@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, TypeVar
@@ -13,19 +13,21 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.cut_mesh import cut_mesh
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.cut_mesh import cut_mesh, near_mesh, whole_mesh
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.graph import components
 from fracflow.mesh.locate import (
     PLACE_ROUND_OFF,
     FracturePlace,
     RockPlace,
+    coordinates,
     on_fracture,
     point_along,
     probe_place,
     tied_nodes,
 )
+from fracflow.mesh.near_cells import covers, near_cells, with_near_first
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -90,7 +92,7 @@ class FarSides:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only.
+    """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where cells are cut on the ranks.
 
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out
@@ -113,7 +115,7 @@ class Model:
 
     @property
     def stated_mesh(self) -> SplitMesh:
-        """The mesh with all fractures, on rank 0."""
+        """The mesh with all fractures, as ``mesh``."""
         mesh = (self.whole or self).mesh
         assert mesh is not None
         return mesh
@@ -149,7 +151,10 @@ def naming(scene: Scene) -> Iterator[None]:
 
 
 def read_sized(scene: Scene) -> SplitMesh:
-    """Read or build the mesh of a scene whose sizes are known, split it, and cut its cells. Raises InputError."""
+    """Read or build the mesh of a scene whose sizes are known, and split it; where it is to be cut, its near cells are.
+
+    Raises InputError.
+    """
     if scene.is_unbounded:
         mesh = build_unmeshed(geometry_of(scene), scene.refine)
         scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, ())
@@ -172,7 +177,26 @@ def read_sized(scene: Scene) -> SplitMesh:
                 )
             joined |= dict.fromkeys(raw_nodes, well.on)
             mesh = joined_ends(mesh, ends)
-    return cut_mesh(mesh)
+    return near_mesh(with_near_first(mesh, looked_at(scene, mesh))) if mesh.cuts else mesh
+
+
+def looked_at(scene: Scene, mesh: SplitMesh) -> Bools:
+    """Cells (m,) of a mesh that must be on rank 0 to find the scene's places, and to check it."""
+    places = []
+    for probe in scene.probe:
+        with suppress(InputError):  # raised again where it is placed
+            what = f"probe.{probe.name}"
+            places.append(coordinates(mesh, _asked(scene, probe.at, what, mesh), what))
+    held = {name for support in scene.support for name in support.on} | {
+        name for term in scene.terms for name in term.on
+    }
+    return near_cells(mesh, np.array(places).reshape(-1, mesh.points.shape[1]), held)
+
+
+def fitting(scene: Scene, mesh: SplitMesh) -> SplitMesh:
+    """A saved mesh; with all cells, where the scene has changed since and its places lie in others than the near ones."""
+    uncut = mesh.uncut
+    return mesh if not uncut.cuts or covers(uncut, looked_at(scene, uncut)) else cut_mesh(uncut)
 
 
 def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
@@ -368,14 +392,14 @@ def set_up(
 
     mesh       on rank 0
     placed     where the scene's names sit on it
-    cell_rank  its partition (cells,) in an earlier run, on rank 0
+    cell_rank  ranks (cells,) of the cells, as they are before they are cut, in an earlier run, on rank 0
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = with_terms(assemble(blocks, scene), scene)
     numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
-        operators = redistributed(operators, scene, loads, mesh)
+        operators = redistributed(operators, scene, loads, None if mesh is None else whole_mesh(mesh))
     placed = replace(placed, notes=(*placed.notes, *(line for term in operators.terms for line in term.notes)))
     return Model(scene, mesh, placed, operators, loads, scene)
 

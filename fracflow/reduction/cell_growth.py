@@ -7,10 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow.diagnostics import slip
-from fracflow.diagnostics.number import CheckInput
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.data import Floats
 from fracflow.mesh.plane.traces import is_within
 from fracflow.mesh.read import GROWTH
 from fracflow.reduction.decision import TOLERANCE
@@ -18,7 +16,6 @@ from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH
 
 OF_CELLS, OF_JOINTS = 0.28, 0.74  # missing share of a crack's opening, over growth squared, and over joint by length
 OUTWEIGHS = 2.0  # times the error of joints
@@ -65,35 +62,3 @@ def has_tip(geometry: Geometry, domain: Floats) -> NDArray[np.bool_]:
         ahead = [points[0] + BEYOND * (points[0] - points[1]), points[-1] + BEYOND * (points[-1] - points[-2])]
         found.append(bool(is_within(np.array(ahead), domain).any()))
     return np.array(found, dtype=bool)
-
-
-def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]:
-    """A line for each fracture whose joints may resolve where slip runs away, and the rock beside it, of ``edges`` (m,), not.
-
-    Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.
-    """
-    may_run_away = any(stage.kind != "dynamic" for stage in view.scene.stage)  # onset of slip in rock at rest
-    if not view.weakens.any() or not may_run_away:
-        return []
-    from scipy.spatial import cKDTree  # imports much
-
-    joints, growth = view.joints, getattr(view.scene.geometry, "growth", None)
-    remedy = "refine" if growth is not None and growth <= GENTLE else f"geometry.growth = {GENTLE:g}, or refine"
-    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
-    reach = np.nanmin(np.where(view.weakens, slip.nucleation_lengths(view), np.inf), axis=1)
-    weak = np.flatnonzero(np.isfinite(reach))
-    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
-    away, nearest = cKDTree(middle[weak]).query(corners.mean(axis=1)) if len(weak) else (np.zeros(0), np.zeros(0, int))
-    lines = []
-    for number, name in enumerate(joints.names):
-        own = weak[nearest]
-        here = joints.fracture[own] == number
-        here &= (away > 2.0 * joints.length[own]) & (away < reach[own])
-        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum()) if here.any() else 0.0
-        if grows > GENTLE:
-            lines.append(
-                f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
-                f" {reach[own[here]].min():.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"
-                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: {remedy}"
-            )
-    return lines

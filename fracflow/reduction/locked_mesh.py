@@ -13,6 +13,7 @@ from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.base import HELD
 from fracflow.laws.elastic import plane_strain_stiffness
+from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.model.contact_mass import redistributes
@@ -110,7 +111,8 @@ def _of_mesh(model: Model) -> Fractures | None:
     apart = np.full((len(nodes), count), inf)
     for row, distance in zip(apart, away, strict=True):
         np.minimum.at(row, fracture, distance[mesh.joint_flow].min(axis=1))
-    used = np.unique(mesh.cell_rock)
+    uncut = mesh.uncut
+    used = np.unique(uncut.cell_rock)
     elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in used) if not rock.rigid]
     keys = ("youngs_modulus", "poissons_ratio", "density")
     young, poisson, density = (np.array([getattr(rock, key) or 0.0 for rock in elastic]) for key in keys)
@@ -121,7 +123,7 @@ def _of_mesh(model: Model) -> Fractures | None:
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
         held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
-        area=float(per_cell(mesh.cells, lambda _, corners: solid.area(mesh.points[corners])).sum()),
+        area=float(per_cell(uncut.cells, lambda _, corners: solid.area(uncut.points[corners])).sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
         impedance=float(np.sqrt(density * waves).max(initial=0.0)),
@@ -161,7 +163,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
     whole = model.mesh
-    mesh = on_root(comm, lambda: None if whole is None else merged_faces(whole, _chosen(whole, names)))
+    mesh = on_root(comm, lambda: None if whole is None else near_mesh(merged_faces(whole.uncut, _chosen(whole, names))))
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
     return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names, sides=model.sides)

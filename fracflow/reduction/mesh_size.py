@@ -9,14 +9,14 @@ import numpy as np
 
 from fracflow.diagnostics import slip
 from fracflow.diagnostics.fracture_flow import EVENT_STEPS
-from fracflow.diagnostics.joints import cell_rocks, gather
+from fracflow.diagnostics.joints import gather, rock_values
 from fracflow.diagnostics.number import CheckInput, spans
-from fracflow.integrators import stepper_from
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
-from fracflow.reduction.cell_growth import coarse_beside, growth_beside, has_tip, of_stated, weakens
+from fracflow.mesh.rock_cells import RockCells
+from fracflow.reduction.cell_growth import growth_beside, has_tip, of_stated, weakens
 from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
@@ -28,10 +28,6 @@ PER_LENGTH = 16  # joints along a fracture that ends in the rock
 PER_SPACING = 4  # joints, in the mean distance of fractures
 PER_FRONT = 8  # joints, in the reach of a pressure
 PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
-CARRIED, FAR = (
-    2.0,
-    0.1,
-)  # cells over joints, in so much of the area, from which on waves of single joints do not get out
 PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
@@ -135,45 +131,28 @@ class Need:
     where: str = ""
 
 
-def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """A line for each length that a mesh does not resolve, except those of the pre-run checks. On one process."""
-    view = CheckInput(scene, gather(scene, mesh, wells))
-    unit = view.unit(LENGTH)
-    coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
-    late = "how slip begins and how far it runs depends on the mesh in"
-    lines = [f"mesh: {what} is not resolved: {late} {slip.of_fractures(names)}" for what, names in coarse.items()]
-    for need in needs(view, mesh):
-        if need.is_listed and SAME * need.found > need.size:
-            asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
-            has = f"has {need.found:.3g}{unit}, {need.where}"
-            lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
-    return [*lines, *_keeping_waves(view, mesh), *coarse_beside(view, mesh, cell_sizes(mesh))]
+@dataclass(frozen=True)
+class WorstCell:
+    """The cell that carries waves worst: its size [length], rock, middle (dim,) and shear speed; the lowest shear speed."""
+
+    size: float
+    rock: str
+    middle: Floats
+    speed: float
+    lowest: float
 
 
-def _keeping_waves(view: CheckInput, mesh: SplitMesh) -> Iterator[str]:
-    """A line where cells away from fractures do not carry the waves of sudden drops of strength, and nothing damps them.
-
-    A drop at one joint moves two, h long each, and makes waves of 4 h. A cell carries none shorter than twice its own size.
-    """
-    scene, joints, sizes, area = view.scene, view.joints, cell_sizes(mesh), cell_areas(mesh.points, mesh.cells)
-    runs = any(stage.kind == "auto" for stage in scene.stage) and scene.absorbing
-    if not (runs and view.drops.any()) or stepper_from(scene.method.stepper, scene.method).damps:
-        return
-    order, fine = np.argsort(sizes), typical_length(joints.length)
-    coarse = float(sizes[order][np.searchsorted(np.cumsum(area[order]), (1.0 - FAR) * area.sum())])
-    if coarse > CARRIED * fine:
-        unit = view.unit(LENGTH)
-        yield (
-            f"mesh: a tenth of the rock has cells of {coarse:.3g}{unit} and more, over {CARRIED:g} times the joints of"
-            f" {fine:.3g}{unit}: shorter waves of a strength that drops at once stay around the fractures, and events take"
-            ' several times more steps: set method.stepper = "generalised-alpha" with rho_infinity = 0.5, which damps them, or'
-            f" have cells below {CARRIED * fine:.3g}{unit}"
-        )
+def worst_of(scene: Scene, cells: RockCells) -> WorstCell:
+    """Collective."""
+    speed = rock_values(scene, cells.rocks)["shear_speed"]
+    speed = np.where(np.isnan(speed), np.inf, speed)
+    size, rock, middle = cells.largest(speed)
+    return WorstCell(size, cells.rocks[rock], middle, float(speed[rock]), float(speed[cells.used()].min()))
 
 
-def needs(view: CheckInput, mesh: SplitMesh) -> list[Need]:
+def needs(view: CheckInput, mesh: SplitMesh, worst: WorstCell) -> list[Need]:
     """All lengths of a scene, each where its mesh is worst at it."""
-    return [*_along_fractures(view, mesh), *_in_rock(view, mesh)]
+    return [*_along_fractures(view, mesh), *_in_rock(view, worst)]
 
 
 def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
@@ -194,7 +173,7 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
     typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
     yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
-    area = np.inf if is_unmeshed(mesh.cells) else float(cell_areas(mesh.points, mesh.cells).sum())
+    area = np.inf if is_unmeshed(mesh.cells) else float(cell_areas(mesh.uncut.points, mesh.uncut.cells).sum())
     spacing = mean_spacing(area, float(joints.length.sum()))
     apart = np.full_like(joints.length, spacing / PER_SPACING)
     yield from need(f"spacing of fractures / {PER_SPACING}", apart, len(tipped) > 0)
@@ -208,19 +187,12 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
         yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
 
 
-def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
-    edges = cell_sizes(mesh)
-
-    speed = cell_rocks(view.scene, mesh)["shear_speed"]
-    speed = np.where(np.isnan(speed), np.inf, speed)
-    for what, period, is_listed in _periods(view, float(speed.min())):
+def _in_rock(view: CheckInput, worst: WorstCell) -> Iterator[Need]:
+    for what, period, is_listed in _periods(view, worst.lowest):
         wave = f"wave of {view.scene.time_text(period, 3)}, {what}, / {PER_WAVE}"
-        size = period * speed / PER_WAVE
-        worst = int(np.argmax(edges / size))
-        if np.isfinite(size[worst]):
-            rock, nodes = mesh.rocks[mesh.cell_rock[worst]], mesh.cells[worst]
-            where = f"{rock} at {_spot(mesh.points[nodes[nodes >= 0]].mean(axis=0))}"
-            yield Need(wave, float(size[worst]), float(edges[worst]), False, is_listed, where)
+        size = period * worst.speed / PER_WAVE
+        if np.isfinite(size):
+            yield Need(wave, size, worst.size, False, is_listed, f"{worst.rock} at {_spot(worst.middle)}")
 
 
 def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
@@ -243,13 +215,6 @@ def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]
                 yield f"of slip in {name}", of_slip, False
             if of_steps > 0.0 and (min(of_loads, of_slip) <= of_steps or (of_loads == of_slip == np.inf)):
                 yield f"{EVENT_STEPS} steps of {name}", of_steps, False
-
-
-def cell_sizes(mesh: SplitMesh) -> Floats:
-    """Mean edge (m,) of each cell [length]."""
-    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
-    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    return np.asarray(edges.sum(axis=1) / np.sum(mesh.cells >= 0, axis=1))
 
 
 def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
@@ -290,7 +255,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
         trial = scene.with_geometry({**keys, "refine": 0})
         mesh, wells = build(trial)
         view = CheckInput(trial, gather(trial, mesh, wells))
-        found = [width, *needs(view, mesh)]
+        found = [width, *needs(view, mesh, worst_of(trial, RockCells.of(mesh)))]
         crowding = len(mesh.cells) / cell_count(size, fine, area, total, growth)
         finer = _finer(size, found, along=False), _finer(fine, found, along=True)
         is_dear = crowding * cell_count(*finer, area, total, growth) > MOST_CELLS and np.isfinite(at_tips)

@@ -7,11 +7,14 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from fracflow._petsc import MPI, PETSc, timed
+from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
+from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.network_parts import unconnected_wells
-from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
+from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
 from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
-from fracflow.reduction.mesh_size import proposed, unresolved
+from fracflow.reduction.mesh_size import proposed
+from fracflow.reduction.unresolved import unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults
 
@@ -19,9 +22,12 @@ NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def read_split(scene: Scene) -> SplitMesh:
-    """Read or build the mesh, of sizes that fit the scene where it states none, and split it. Raises InputError."""
+    """Read or build the mesh, of sizes that fit the scene where it states none, split it and cut all of its cells.
+
+    Raises InputError.
+    """
     with naming(scene):
-        return read_sized(scene.with_geometry(_open_sizes(scene)[0]))
+        return whole_mesh(read_sized(scene.with_geometry(_open_sizes(scene)[0])))
 
 
 def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
@@ -53,7 +59,7 @@ def prepare(
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
-    saved, cell_rank  mesh and partition (cells,) of an earlier run, on rank 0
+    saved, cell_rank  mesh and ranks (cells,) of an earlier run, on rank 0, as of ``set_up``
     begins            whether the run begins, and notes list the lengths that its mesh does not resolve
     undone            decisions that an earlier try of the same run has undone
     """
@@ -69,11 +75,13 @@ def prepare(
 
 def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
     scene = with_sizes(scene, comm)
-    mesh = on_root(comm, lambda: saved or read_sized(scene))
+    mesh = on_root(comm, lambda: fitting(scene, saved) if saved else read_sized(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
     wells = placed.wells
-    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells) if mesh is not None and begins else []) or []
     apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
-    notes = (*scene.notes, *coarse, *apart, *placed.notes)
-    return set_up(scene, comm, mesh, replace(placed, notes=notes, apart=tuple(apart)), cell_rank)
+    model = set_up(scene, comm, mesh, replace(placed, apart=tuple(apart)), cell_rank)
+    block = model.operators.blocks.solid
+    coarse = unresolved(scene, mesh, wells, RockCells.of(block, block.cell_ids, comm)) if begins else []
+    notes = (*scene.notes, *coarse, *apart, *model.placed.notes)
+    return replace(model, placed=replace(model.placed, notes=notes))

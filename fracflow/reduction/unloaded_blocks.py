@@ -9,6 +9,8 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Bools, SplitMesh
+from fracflow.mesh.distribute import pieces_of_rock
+from fracflow.mesh.near_cells import near_nodes
 from fracflow.mesh.split import parts
 from fracflow.model.dirichlet import PrescribedValues, own
 from fracflow.model.setup import Model, on_root
@@ -38,13 +40,18 @@ def loaded_names(scene: Scene) -> Iterator[str]:
             yield from term.on
 
 
-def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
-    """Which nodes (n,) are of parts that nothing loads, and how many parts there are. On rank 0."""
-    mesh, scene, placed = model.mesh, model.scene, model.placed
-    assert mesh is not None
-    part = np.unique(parts(mesh, placed.ties), return_inverse=True)[1].ravel()
+def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
+    """Which pieces of rock (p,) are of parts that nothing loads, and how many parts there are. On rank 0.
+
+    Cuts change neither: nodes are those of the uncut mesh, which near ones have the numbers of.
+    """
+    scene, placed = model.scene, model.placed
+    assert model.mesh is not None
+    fine, mesh = model.mesh, model.mesh.uncut
+    is_uncut = placed.ties // mesh.points.shape[1] < near_nodes(mesh)
+    part = np.unique(parts(mesh, placed.ties[is_uncut.all(axis=1)]), return_inverse=True)[1].ravel()
     count = int(part.max(initial=-1)) + 1
-    none = np.zeros(len(part), dtype=bool)
+    none = np.zeros(0, dtype=bool)
     at_rest = scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
     if count < 2 or scene.model != "default" or not at_rest:
         return none, UnloadedBlocks(count, count)
@@ -54,12 +61,14 @@ def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
     flow = np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)
     driven = (scene.drains(name) or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
     held = [scene.has_flow and each for each in driven]
-    drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
-    loaded[part[mesh.joint_bottom[drives].ravel()]] = True
+    drives = np.isin(fine.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[fine.joint_fracture]
+    loaded[part[mesh.joint_bottom[np.flatnonzero(drives) // fine.pieces].ravel()]] = True
     if not loaded.any():  # the purpose of a run without loads is unknown
         return none, UnloadedBlocks(count, count)
-    idle = ~loaded[part]
-    return idle, UnloadedBlocks(count, int(loaded.sum()), int(idle.sum()) * mesh.points.shape[1])
+    piece, rock, _ = pieces_of_rock(mesh)
+    idle = np.zeros(len(rock), dtype=bool)
+    idle[piece[piece >= 0]] = ~loaded[part[piece >= 0]]
+    return idle, UnloadedBlocks(count, int(loaded.sum()))
 
 
 def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
@@ -78,10 +87,10 @@ def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
 def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     """The model with the parts held that nothing loads. Collective."""
     comm, block = model.operators.layout.comm, model.operators.blocks.solid
-    idle, found = comm.bcast(on_root(comm, lambda: idle_nodes(model)), root=0)
+    idle, found = comm.bcast(on_root(comm, lambda: idle_pieces(model)), root=0)
     if found.loaded == found.count:
         return model, found
-    here = idle[block.node_ids]
+    here = idle[block.piece]
     bodies = np.unique(block.body[here & (block.body >= 0)])
     unknowns = np.concatenate([block.unknown[here].ravel(), block.body_unknown[bodies].ravel()])
     everywhere = np.unique(np.concatenate(comm.allgather(unknowns[unknowns >= 0])))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import SplitMesh
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.profiles import KEPT, read_profiles
@@ -273,12 +274,14 @@ def map_record(run: RunReport, frames: Frames | None) -> dict[str, Any] | None:
 
 
 def _edges(mesh: SplitMesh) -> Floats:
-    """(k, 2, 2) ends of the edges of a plane mesh, or of its outline alone where they are many."""
+    """(k, 2, 2) ends of the edges of a plane mesh, or of its outline alone where they are many, as before its cells are cut."""
+    count = mesh.children * len(mesh.uncut.cells)  # which is less than that of edges
+    mesh = whole_mesh(mesh) if count <= MOST_EDGES else mesh.uncut
     cells = mesh.cells
     following = np.roll(cells, -1, axis=1)
     counts = (cells >= 0).sum(axis=1)
     following[np.arange(len(cells)), counts - 1] = cells[:, 0]
     pairs = np.sort(np.stack([cells[cells >= 0], following[cells >= 0]], axis=1), axis=1)
     edges, times = np.unique(mesh.origin[pairs] if len(mesh.origin) else pairs, axis=0, return_counts=True)
-    chosen = edges if len(edges) <= MOST_EDGES else edges[times == 1]
+    chosen = edges if max(count, len(edges)) <= MOST_EDGES else edges[times == 1]
     return np.asarray(mesh.points[chosen[:MOST_EDGES]], dtype=float)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fracflow.mesh.cut_mesh import sizes_of
 from fracflow.mesh.data import is_unmeshed
 from fracflow.output.history import last_of
 from fracflow.output.remarks import alike, part_of, saved
@@ -327,8 +328,9 @@ def mesh_line(run: RunReport) -> str:
     if mesh is None:
         return "No mesh is in the run folder."
     lengths = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom[:, :2]], axis=1)[:, 0], axis=-1)
-    cells = "rock without cells" if is_unmeshed(mesh.cells) else f"{len(mesh.cells)} cells"
-    text = f"{cells}, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
+    count, nodes = sizes_of(mesh)
+    cells = "rock without cells" if is_unmeshed(mesh.cells) else f"{count} cells"
+    text = f"{cells}, {nodes} nodes, {len(mesh.joint_bottom)} joint elements"
     if len(lengths):
         few, usual, most = (
             run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())

@@ -150,8 +150,10 @@ def resume(
             return totals
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
-        cell_rank = on_root(comm, lambda: arrays.array("cell_rank") if arrays and is_as_before else None)
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+        cell_rank = on_root(
+            comm, lambda: arrays.each("cell_rank", mesh.children) if arrays and mesh and is_as_before else None
+        )
         model = prepare(scene, comm, mesh, cell_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)

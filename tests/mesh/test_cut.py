@@ -1,6 +1,6 @@
 """Cells cut in four on the rank that has them make the same mesh as cells cut before the split, numbered in another order."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,9 +8,10 @@ from refined import refined
 from scipy.spatial import cKDTree
 
 from fracflow._petsc import MPI
-from fracflow.mesh.cut_mesh import cut_mesh
+from fracflow.mesh.cut_mesh import cut_mesh, near_mesh, sizes_of
 from fracflow.mesh.data import RawMesh
 from fracflow.mesh.distribute import distribute
+from fracflow.mesh.near_cells import has_near_first, near_cells, with_near_first
 from fracflow.mesh.split import split
 
 COMM = MPI.COMM_WORLD
@@ -87,13 +88,17 @@ def _same(groups, others):
     return sorted(map(sorted, groups)) == sorted(map(sorted, others))
 
 
+def _near_first(mesh):
+    return with_near_first(mesh, near_cells(mesh, np.array([[4.5, 0.6]])))
+
+
 @pytest.mark.parametrize("cuts", [1, 3])
 def test_the_same_mesh_as_if_cut_before_the_split(cuts):
     raw = _grid()
     fine = raw
     for _ in range(cuts):
         fine = refined(fine)
-    meshes = [split(fine), replace(split(raw), cuts=cuts)] if COMM.rank == 0 else [None, None]
+    meshes = [split(fine), _near_first(replace(split(raw), cuts=cuts))] if COMM.rank == 0 else [None, None]
     blocks = [distribute(mesh, COMM, ["hard"]) for mesh in meshes]
     asked, made = (_whole(each) for each in blocks)
     sizes = [each.sizes for each in blocks]
@@ -142,7 +147,7 @@ def test_the_same_mesh_as_if_cut_before_the_split(cuts):
 
 @pytest.mark.parametrize("cuts", [2])
 def test_numbers_are_the_same_on_any_number_of_ranks(cuts):
-    mesh = replace(split(_grid()), cuts=cuts)
+    mesh = _near_first(replace(split(_grid()), cuts=cuts))
     alone = distribute(mesh, MPI.COMM_SELF, ["hard"])
     together = distribute(mesh if COMM.rank == 0 else None, COMM, ["hard"])
     at = np.empty(alone.sizes.nodes, dtype=int)
@@ -166,3 +171,12 @@ def test_numbers_are_the_same_on_any_number_of_ranks(cuts):
     for face, cell in zip((whole.joint_bottom, whole.joint_top), whole.joint_cells.T, strict=True):
         assert (whole.cells[cell][:, None] == face[:, :, None]).any(axis=2).all()
     assert np.array_equal(whole.flow_origin[whole.joint_flow], whole.origin[whole.joint_bottom])
+    near = near_mesh(mesh)
+    assert len(near.cells) == 4**cuts * mesh.near < len(whole.cells) and has_near_first(mesh)
+    assert sizes_of(near) == (len(whole.cells), len(whole.points)) == (together.sizes.cells, together.sizes.nodes)
+    for field in fields(near):
+        first, every = getattr(near, field.name), getattr(whole, field.name)
+        same = first == every[: len(first)] if isinstance(first, np.ndarray) else first is every or first == every
+        assert np.all(same), field.name
+    around = np.isin(whole.cells, near.joint_bottom).any(axis=1)
+    assert np.flatnonzero(around).max() < len(near.cells)

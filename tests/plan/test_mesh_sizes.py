@@ -10,6 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.cli.app import app
 from fracflow.diagnostics import pre_run_checks
 from fracflow.mesh.read import GeometrySpec, build_mesh
+from fracflow.mesh.rock_cells import RockCells
 from fracflow.output import read_history
 from fracflow.reduction import mesh_size as mesh_sizes
 from fracflow.reduction.mesh_size import (
@@ -22,6 +23,7 @@ from fracflow.reduction.mesh_size import (
     typical_length,
 )
 from fracflow.reduction.prepare import read_split, with_sizes
+from fracflow.reduction.unresolved import unresolved
 from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
@@ -105,7 +107,7 @@ def test_a_proposed_mesh_resolves_what_it_was_made_for(scene, why):
     scene = sized(scene)
     mesh = read_split(scene)
     assert why in next(line for line in scene.notes if "size_at_fractures" in line)
-    assert mesh_sizes.unresolved(scene, mesh, {}) == []
+    assert unresolved(scene, mesh, {}) == []
     assert not any(number.out_of_range for number in pre_run_checks(scene, mesh, {}) if number.name in OF_SLIP)
     assert 100 < len(mesh.cells) < 20_000
     again = Scene.from_data(scene.model_dump(exclude_none=True))
@@ -124,7 +126,7 @@ def test_cells_that_keep_the_waves_of_drops_are_told():
             [[[40, 50], [60, 50]]], fracture={"stick_slip_ratio": drop}, method=method, geometry={}, **more
         )
         scene = scene.with_geometry(sizes)
-        return [line for line in mesh_sizes.unresolved(scene, read_split(scene), {}) if "a tenth of the rock" in line]
+        return [line for line in unresolved(scene, read_split(scene), {}) if "a tenth of the rock" in line]
 
     (told,) = said(6.0, 0.95)
     assert (
@@ -142,9 +144,9 @@ def test_waves_of_loads_have_ten_cells():
     scene = sized(scene_of([], fracture={}, absorbing=[side], stage={"kind": "dynamic", "time_step": 1e-3}))
     mesh = read_split(scene)
     assert "wave of 20 ms, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
-    assert 2.0 < mesh_sizes.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
+    assert 2.0 < RockCells.of(mesh).size.max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
     coarse = scene.with_geometry({"size": 8.0})
-    (told,) = mesh_sizes.unresolved(coarse, read_split(coarse), {})
+    (told,) = unresolved(coarse, read_split(coarse), {})
     assert "it needs cells of 2.53 m, and has " in told and "rock at (" in told
 
 
@@ -255,7 +257,7 @@ def test_rock_that_coarsens_fast_beside_a_fracture_that_weakens_is_told():
     def told(**more):
         scene = scene_of([[[30, 50], [70, 50]]], fracture=weak, **more)
         mesh = read_split(sized(scene))
-        return [line for line in mesh_sizes.unresolved(scene, mesh, {}) if "run away late" in line]
+        return [line for line in unresolved(scene, mesh, {}) if "run away late" in line]
 
     (line,) = told(geometry=sizes | {"growth": 0.3})
     assert "f0" in line and "geometry.growth = 0.1" in line

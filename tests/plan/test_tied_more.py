@@ -13,7 +13,7 @@ from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_fractures import PART, compliance, together
 from fracflow.reduction.locked_mesh import find_locked, watch_locked
 from fracflow.reduction.prepare import prepare, read_split
-from fracflow.reduction.unloaded_blocks import idle_nodes
+from fracflow.reduction.unloaded_blocks import idle_pieces
 from fracflow.scene.scene import Scene, load
 
 YOUNG, PRESS, APERTURE = 1e10, 1e6, 1e-2
@@ -109,7 +109,7 @@ def test_what_loads_a_part(shared_tmp, comm, action, loaded):
         (shared_tmp / "two.toml").write_text(PAIR.replace("FEET", '["foot", "other foot"]') + FLUID + ACTIONS[action])
     comm.barrier()
     model = prepare(load(shared_tmp / "two.toml"), comm)
-    idle, parts = comm.bcast(idle_nodes(model) if comm.rank == 0 else None)
+    idle, parts = comm.bcast(idle_pieces(model) if comm.rank == 0 else None)
     assert (parts.count, parts.loaded, idle.any()) == (2, loaded, loaded < 2)
 
 
