@@ -1,6 +1,6 @@
 """The pattern of a matrix that others are added to, found and filled some rows at a time.
 
-What is made of all entries at once takes several times the memory of the matrix.
+Arrays made of all entries at once take several times the memory of the matrix.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
-COARSE = 10.0  # joints, or nodes, along a cell of the coarse grid
+COARSE = 14.0  # joints, or nodes, along a cell of the coarse grid
 SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
 
 
