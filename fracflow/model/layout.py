@@ -116,6 +116,15 @@ def local_rows(matrix: PETSc.Mat) -> Rows:
     return Rows(rows, indices.astype(np.int64), values)
 
 
+def rows_of(matrix: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
+    """Some rows of a matrix, with all its columns. The caller destroys it. Collective."""
+    first, last = matrix.getOwnershipRangeColumn()
+    cols = PETSc.IS().createStride(last - first, first, 1, comm=matrix.getComm())
+    result = matrix.createSubMatrix(rows, cols)
+    cols.destroy()
+    return result
+
+
 Sizes = tuple[tuple[int, int], tuple[int, int]]
 """Rows and columns of a matrix, of this rank and of all."""
 

@@ -5,7 +5,10 @@ Multigrid is given the unknowns of a node as a block, and the motions that cost 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,18 +16,19 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
-from fracflow.model.layout import Rows, add_blocks, create_matrix, local_rows, matrix_of
+from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure, closure_row
 from fracflow.model.operators import Operators
+from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
 """Operators whose values are read where they are needed."""
-AT_ONCE = 100_000  # values, so that what is made of them takes no memory beside
+AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -55,49 +59,41 @@ class JoinedMatrix:
         """Find the pattern and place the constant operators on it. Collective."""
         self.operators, self.layout = operators, operators.layout
         ops, layout = operators, operators.layout
+        self.rows_here = layout.solid_count + layout.flow_count
+        here = np.arange(self.rows_here + 1)
+        self._couplings: dict[str, Floats] = {}
+        parts = {"diagonal": Entries(here, petsc_ints(layout.start + here[:-1]))}
+        for name in ROCK:
+            if name != "damping" or (ops.damping is not None and not loads.at_rest):
+                parts[name] = self._entries(getattr(ops, name), "solid", "solid")[0]
         jump = ops.joints.jump.transposeMatMult(ops.joints.jump)
-        parts = {
-            "stiffness": self._place(local_rows(ops.stiffness), "solid", "solid"),
-            "mass": self._place(local_rows(ops.mass), "solid", "solid"),
-            "jump": self._place(local_rows(jump), "solid", "solid"),
-        }
+        parts["jump"] = self._entries(jump, "solid", "solid")[0]
         jump.destroy()
-        if ops.damping is not None and not loads.at_rest:
-            parts["damping"] = self._place(local_rows(ops.damping), "solid", "solid")
         if ops.flow is not None:
             squeeze, pattern = ops.flow.storage_coupling.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
-            network = self._network_pattern()
-            parts |= {
-                "pressure_load": self._place(local_rows(ops.flow.pressure_load), "solid", "flow"),
-                "storage_coupling": self._place(local_rows(squeeze), "flow", "solid"),
-                "feedback": self._place(local_rows(pattern), "flow", "solid"),
-                "network": self._place(local_rows(network), "flow", "flow"),
-            }
+            network, load = self._network_pattern(), ops.flow.pressure_load
+            parts["pressure_load"], self._couplings["pressure_load"] = self._entries(load, "solid", "flow")
+            parts["storage_coupling"], self._couplings["storage_coupling"] = self._entries(squeeze, "flow", "solid")
+            parts["feedback"] = self._entries(pattern, "flow", "solid")[0]
+            parts["network"] = self._entries(network, "flow", "flow")[0]
             destroy(squeeze, pattern, network)
-        self.rows_here = layout.solid_count + layout.flow_count
-        diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
-        keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
-        self._closures = [self._closure(closure) for closure in loads.closures]
         self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
-        union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
-        row, self._col = union // layout.total, petsc_ints(union % layout.total)
-        self._diagonal = np.searchsorted(union, diagonal)
-        names = [
-            each for each in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling") if each in parts
-        ]
-        self._places = {name: petsc_ints(np.searchsorted(union, keys[name])) for name in names}
-        self._couplings = {name: parts[name].values for name in names if name not in ROCK}
+        closing = [self._closure(closure) for closure in loads.closures]
+        for number, (row, cols, _) in enumerate(closing):
+            parts[f"closure {number}"] = Entries((here > row).astype(np.int64) * len(cols), petsc_ints(cols))
+        pattern = Pattern.of(parts, ROCK, layout.total, layout.comm)
+        parts.clear()
+        self._edges, self._starts, self._marks = pattern.edges, pattern.starts, pattern.marks
+        self._diagonal = pattern.places["diagonal"]
+        self._places = {name: pattern.places[name] for name in self._couplings}
+        self._closed = np.array([row for row, cols, _ in closing if len(cols)], dtype=np.int64)
         self._closing = [
-            (
-                np.flatnonzero(np.isin(row, c.rows)),
-                np.searchsorted(union, c.rows * layout.total + c.cols),
-                c.values,
-            )
-            for c in self._closures
+            (np.arange(*self._starts[row : row + 2]), pattern.places[f"closure {number}"], weights)
+            for number, (row, cols, weights) in enumerate(closing)
+            if len(cols)
         ]
-        self._indptr = petsc_ints(np.searchsorted(row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
-        csr = (self._indptr, self._col, np.zeros(len(union)))
+        csr = (pattern.starts, pattern.columns, np.zeros(len(pattern.columns)))
         is_dry = layout.flow_starts[-1] == 0
         node = node_size(ops) if is_dry else 1
         self.matrix = matrix_of((local, local), csr, layout.comm, node)
@@ -110,24 +106,29 @@ class JoinedMatrix:
         self.stood: tuple[Any, ...] = ()
         """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
         self._changing_rows, self._changing_entries = self._find_changing()
+        self._changing_columns = pattern.columns[self._changing_entries]
         self._standing = np.zeros(0)  # values of those entries without the state
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
 
-    def _place(self, rows: Rows, row_part: str, col_part: str) -> Rows:
-        layout = self.layout
-        offset = 0 if row_part == "solid" else layout.solid_count
-        number = layout.solid_numbers if col_part == "solid" else layout.flow_numbers
-        return Rows(rows.rows + offset, number(rows.cols), rows.values)
+    def _entries(self, matrix: PETSc.Mat, row_part: str, col_part: str) -> tuple[Entries, Floats]:
+        """Where the entries of a part are, and their values (n,)."""
+        layout, number = self.layout, (self.layout.solid_numbers if col_part == "solid" else self.layout.flow_numbers)
+        starts, columns, values = matrix.getValuesCSR()
+        for begin in range(0, len(columns), AT_ONCE):
+            part = slice(begin, begin + AT_ONCE)
+            columns[part] = number(columns[part])
+        around = (0, layout.flow_count) if row_part == "solid" else (layout.solid_count, 0)
+        return Entries(np.pad(starts, around, mode="edge"), columns), values
 
-    def _closure(self, closure: Closure) -> Rows:
-        """A closure's row in scaled unknowns, on the rank that has it."""
+    def _closure(self, closure: Closure) -> tuple[int, Ints, Floats]:
+        """A closure's row in scaled unknowns, with columns and weights (n,), on the rank that has it."""
         cols, weights = closure_row(closure, self.layout)
         here = len(closure.row) > 0
         row = self.layout.solid_count + int(closure.row[0]) if here else 0
         count = len(cols) if here else 0
         scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
-        return Rows(np.full(count, row), cols[:count], scale * weights[:count])
+        return row, cols[:count], scale * weights[:count]
 
     def _network_pattern(self) -> PETSc.Mat:
         size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
@@ -164,7 +165,7 @@ class JoinedMatrix:
             marks.setValues(chosen, np.ones(len(chosen)), PETSc.InsertMode.ADD)
         marks.assemble()
         changes = marks.getArray(readonly=True) > 0.0
-        entries = np.flatnonzero(np.repeat(changes, np.diff(self._indptr)))
+        entries = np.flatnonzero(np.repeat(changes, np.diff(self._starts)))
         marks.destroy()
         return np.flatnonzero(changes), entries
 
@@ -186,11 +187,10 @@ class JoinedMatrix:
 
         own = held[self.layout.start : self.layout.start + self.rows_here]
         closed = np.zeros(self.layout.total, dtype=bool)
-        here = [int(rows.rows[0]) + self.layout.start for rows in self._closures if len(rows.rows)]
-        closed[np.concatenate(self.layout.comm.allgather(np.array(here, dtype=np.int64)))] = True
+        closed[np.concatenate(self.layout.comm.allgather(self.layout.start + self._closed))] = True
         nodes = free(self._flow_nodes)
         return FreePart(
-            np.flatnonzero(np.repeat(own, np.diff(self._indptr)) | held[self._col]),
+            self._entries_of(own, held),
             self._diagonal[own],
             np.where(closed[self._flow_nodes], -1, nodes),
             tuple(free(numbers) for numbers in self._sections),
@@ -199,6 +199,16 @@ class JoinedMatrix:
             tuple(free(numbers) for _, numbers, _ in self._slips),
             np.where(self._keeping < 0, -1, free(self._keeping)),
         )
+
+    def _entries_of(self, rows: Bools, columns: Bools) -> Ints:
+        """Places of entries (n,) in this rank's rows (rows,) and in columns (total,) that are marked. Collective."""
+        found = []
+        for (first, last), (starts, numbers, _) in zip(
+            pairwise(self._edges), by_rows(self.matrix, self._edges), strict=True
+        ):
+            of_rows = np.repeat(rows[first:last], np.diff(starts))
+            found.append(self._starts[first] + np.flatnonzero(of_rows | columns[numbers]))
+        return np.concatenate(found)
 
     @property
     def alphas(self) -> Alphas | None:
@@ -243,7 +253,8 @@ class JoinedMatrix:
             self.stood = (alphas, flow_scale, only)
             self._stand(matrix)
         else:
-            self._stand_again(matrix)
+            self._insert(matrix, self._standing)
+            matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
         for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
@@ -265,49 +276,69 @@ class JoinedMatrix:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()
 
-    def standing(self) -> PETSc.Mat:
-        """The matrix as it was filled last, but without the state. The caller destroys it. Collective."""
-        result = self.matrix.copy()
-        self._stand_again(result)
-        result.assemble()
-        return result
+    @contextmanager
+    def standing(self) -> Iterator[PETSc.Mat]:
+        """The matrix without the state, as long as that is needed: then it is again as it was filled last. Collective."""
+        matrix, state = self.matrix, self.matrix.stateGet()
+        rows = PETSc.IS().createGeneral(petsc_ints(self._changing_rows + self.layout.start), comm=self.layout.comm)
+        part = rows_of(matrix, rows)
+        values = part.getValuesCSR()[2]
+        destroy(rows, part)
+        self._insert(matrix, self._standing)
+        matrix.assemble()
+        try:
+            yield matrix
+        finally:
+            self._insert(matrix, values)
+            matrix.assemble()
+            matrix.stateSet(state)  # so that no solver takes it for another
 
     def _stand(self, matrix: PETSc.Mat) -> None:
         """Fill ``matrix`` with all that does not depend on the state, the held rows too. Collective."""
         alphas, flow_scale, only = self.stood
-        scales, free, data = self.operators.scales, self._free_parts[only], np.zeros(len(self._col))
+        scales, free, kept = self.operators.scales, self._free_parts[only], []
         solid_solid = scales.displacement / scales.force
+        couplings = {
+            "pressure_load": -scales.pressure / scales.force,
+            "storage_coupling": scales.displacement / flow_scale * alphas.a1,
+        }
+        edges = np.minimum(self._edges, self.layout.solid_count)
+        rock = {name: by_rows(getattr(self.operators, name), edges) for name in self._marks}
+        for number, (first, last) in enumerate(pairwise(self._edges)):
+            begin, end = self._starts[first], self._starts[last]
+            data = np.zeros(end - begin)
+            for name, scale in (("stiffness", 1.0), ("mass", alphas.mass), ("damping", solid_solid * alphas.a1)):
+                if name == "damping":
+                    data *= solid_solid
+                if name in rock:
+                    is_its = np.unpackbits(self._marks[name][number], count=len(data)).view(bool)
+                    data[is_its] += scale * next(rock[name])[2]
+            for name in self._couplings:
+                here = _between(self._places[name], begin, end)
+                data[self._places[name][here] - begin] += couplings[name] * self._couplings[name][here]
+            for entries, places, weights in self._closing:
+                data[entries[_between(entries, begin, end)] - begin] = 0.0
+                here = _between(places, begin, end)
+                data[places[here] - begin] = weights[here]
+            data[free.held_entries[_between(free.held_entries, begin, end)] - begin] = 0.0
+            data[free.held_diagonal[_between(free.held_diagonal, begin, end)] - begin] = 1.0
+            kept.append(data[self._changing_entries[_between(self._changing_entries, begin, end)] - begin])
+            self._put(matrix, first, last, data)
+        self._standing = np.concatenate(kept)
 
-        def add(name: str, scale: float) -> None:
-            if name in self._places:
-                rock = getattr(self.operators, name) if name in ROCK else None
-                values = self._couplings[name] if rock is None else rock.getValuesCSR()[2]
-                for begin in range(0, len(values), AT_ONCE):
-                    part = slice(begin, begin + AT_ONCE)
-                    data[self._places[name][part]] += scale * values[part]
-
-        add("stiffness", 1.0)
-        add("mass", alphas.mass)
-        data *= solid_solid
-        add("damping", solid_solid * alphas.a1)
-        add("pressure_load", -scales.pressure / scales.force)
-        add("storage_coupling", scales.displacement / flow_scale * alphas.a1)
-        for entries, places, weights in self._closing:
-            data[entries] = 0.0
-            data[places] = weights
-        data[free.held_entries] = 0.0
-        data[free.held_diagonal] = 1.0
-        matrix.setValuesCSR(self._indptr, self._col, data)
+    def _put(self, matrix: PETSc.Mat, first: int, last: int, data: Floats) -> None:
+        """Set all values (n,) of some rows. Collective."""
+        starts, columns, _ = csr_of(matrix, first, last)
+        rows = petsc_ints(np.arange(first, last) + self.layout.start)
+        matrix.setValuesIJV(starts, columns, data, PETSc.InsertMode.INSERT, rows)
         matrix.assemble()
-        self._standing = data[self._changing_entries]
 
-    def _stand_again(self, matrix: PETSc.Mat) -> None:
-        """Take out the state that was added before. Collective."""
-        indptr = np.concatenate([[0], np.cumsum(np.diff(self._indptr)[self._changing_rows])])
+    def _insert(self, matrix: PETSc.Mat, values: Floats) -> None:
+        """Set the entries to which the state adds something. Collective."""
+        starts = np.concatenate([[0], np.cumsum(np.diff(self._starts)[self._changing_rows])])
         rows = petsc_ints(self._changing_rows + self.layout.start)
-        cols = self._col[self._changing_entries]
-        matrix.setValuesIJV(petsc_ints(indptr), cols, self._standing, PETSc.InsertMode.INSERT, rows)
-        matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
+        numbers = petsc_ints(starts), self._changing_columns, values
+        matrix.setValuesIJV(*numbers, PETSc.InsertMode.INSERT, rows)
 
     def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
         """Add what compression does to the rows that keep the fluid of a part."""
@@ -323,12 +354,9 @@ class JoinedMatrix:
         self.matrix.destroy()
 
 
-def _union(keys: list[Ints]) -> Ints:
-    """All keys once, ascending. Each array is nearly so already: a stable sort merges them, where np.unique starts afresh."""
-    merged = np.sort(np.concatenate(keys), kind="stable")
-    is_first = np.ones(len(merged), dtype=bool)
-    is_first[1:] = merged[1:] != merged[:-1]
-    return merged[is_first]
+def _between(places: Ints, begin: int, end: int) -> slice:
+    """Those of places (n,), in the order of rows, that lie from ``begin`` to before ``end``, which are starts of rows."""
+    return slice(*np.searchsorted(places, (begin, end)))
 
 
 def rigid_motions(blocks: Blocks) -> Floats:

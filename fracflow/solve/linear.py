@@ -7,6 +7,7 @@ factors of its own, so that it does not depend on which steps this process has m
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
@@ -147,8 +148,8 @@ class System(Protocol):
 
     matrix: PETSc.Mat
 
-    def standing(self) -> PETSc.Mat:
-        """The matrix without the joints. The caller destroys it. Collective."""
+    def standing(self) -> AbstractContextManager[PETSc.Mat]:
+        """The matrix without the joints, as long as that is needed; ``matrix`` may be that meanwhile. Collective."""
 
     @property
     def stood(self) -> Any:

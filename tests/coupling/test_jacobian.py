@@ -227,6 +227,31 @@ def check_derivative(newton, random):
     newton._function(newton.snes, point, product)
 
 
+def test_few_rows_at_once_make_the_same_matrix(monkeypatch):
+    """Pattern, values and what stands without the joints; afterwards the state is in the matrix again."""
+    model = prepare(load("meshes/crossings/scene.toml"), MPI.COMM_WORLD)
+    request = StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, model.loads)
+    problem = StepProblem(model.operators, equilibrium_state(model), request, StepRule(Newmark().alphas(1e-3)))
+    problem.evaluate()
+    found = []
+    for rows in (10**6, 7):
+        monkeypatch.setattr("fracflow.solve.pattern.AT_ONCE", rows)
+        matrix = JoinedMatrix(model.operators, model.loads)
+        filling = problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale()
+        matrix.fill(*filling)
+        before = matrix.matrix.getValuesCSR()
+        with matrix.standing() as stands:
+            alone = stands.getValuesCSR()
+        found.append((*before, alone[2], *matrix.matrix.getValuesCSR()))
+        matrix.destroy()
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+    assert all(np.array_equal(one, other) for one, other in zip(found[0][:3], found[0][4:], strict=True))
+    changes = int((found[0][2] != found[0][3]).sum())
+    assert model.operators.layout.comm.allreduce(changes) > 0
+    problem.destroy()
+
+
 @pytest.mark.parametrize("stepper", [Steady(), BackwardEuler(), Newmark()], ids=["steady", "backward-euler", "newmark"])
 def test_jacobian_where_joints_open_slide_and_pinch(stepper):
     """The same with sections open, sliding, and narrower than the minimum hydraulic aperture, all at once."""

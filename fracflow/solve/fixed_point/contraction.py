@@ -8,6 +8,7 @@ taken off again with the pressures of the last cycle, by (K + S)^-1 (S - C).
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -53,15 +54,15 @@ class RockBlock:
         rank = owner_of(starts, whole.fixed)
         numbers = whole.fixed - layout.flow_starts[rank]
         solid, flow = layout.index_sets()
-        stands = whole.standing()
-        part = stands.createSubMatrix(solid, solid)
-        destroy(solid, flow, stands)
+        with whole.standing() as stands:
+            part = stands.createSubMatrix(solid, solid)
+        destroy(solid, flow)
         held = numbers[numbers < layout.solid_starts[rank + 1]]
         return cls(block, part, whole.operators, alone, held, whole.alphas, whole.stood)
 
-    def standing(self) -> PETSc.Mat:
-        """The block without the joints. The caller destroys it. Collective."""
-        return self.stands.copy()
+    def standing(self) -> AbstractContextManager[PETSc.Mat]:
+        """The block without the joints. Not collective."""
+        return nullcontext(self.stands)
 
 
 class Cycle:

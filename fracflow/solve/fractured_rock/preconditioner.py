@@ -11,6 +11,7 @@ size, however small or large those of the flow are.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,14 +19,14 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Ints
-from fracflow.model.layout import Layout
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import Layout, rows_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
 from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
-COARSE = 10.0  # joints, or nodes, along a cell of the coarse grid
+COARSE = 14.0  # joints, or nodes, along a cell of the coarse grid
 SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
 
 
@@ -37,8 +38,8 @@ class Filled(Protocol):
 
     matrix: PETSc.Mat
 
-    def standing(self) -> PETSc.Mat:
-        """The matrix without the joints. The caller destroys it. Collective."""
+    def standing(self) -> AbstractContextManager[PETSc.Mat]:
+        """The matrix without the joints, as long as that is needed; ``matrix`` may be that meanwhile. Collective."""
 
     @property
     def stood(self) -> Any:
@@ -108,11 +109,11 @@ class FracturedRock:
         whole, parts, systems = self.filled.matrix, self.parts, self.systems
         is_other = "intact" not in systems or self._alphas != self.filled.alphas
         if is_other or self._stood != self.filled.stood:
-            self._alphas, self._stood, stands = self.filled.alphas, self.filled.stood, self.filled.standing()
-            if is_other:
-                self._renew_intact(stands)
-            self._renew_standing(stands)
-            stands.destroy()
+            self._alphas, self._stood = self.filled.alphas, self.filled.stood
+            with self.filled.standing() as stands:
+                if is_other:
+                    self._renew_intact(stands)
+                self._renew_standing(stands)
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems["strips"])
         self._add_joints()
         for part in ("jumps", "strips"):
@@ -129,7 +130,9 @@ class FracturedRock:
             solver.reset()
             systems.pop("intact").destroy()
         made = stands.PtAP(self.parts.intact)
-        _fill_empty(made)
+        diagonal = made.getDiagonal()  # of rock alone: where there is none, the row is empty
+        _fill_empty(made, diagonal.getArray().copy())
+        diagonal.destroy()
         if solver.getPC().getType() == "hypre":
             systems["intact"] = made.convert("hypre", PETSc.Mat())
             made.destroy()
@@ -141,7 +144,7 @@ class FracturedRock:
     def _renew_standing(self, stands: PETSc.Mat) -> None:
         """W' A_0 W - W_s' A_0s W_s, with A_0 as it stands without the joints, and s the strips. Collective."""
         parts, systems = self.parts, self.systems
-        self.beside = self.beside or _rows_of(parts.jumps, parts.strips)
+        self.beside = self.beside or rows_of(parts.jumps, parts.strips)
         systems["strips"] = stands.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
         self.change = systems["strips"].PtAP(self.beside, self.change)
         destroy(self.without)
@@ -157,7 +160,7 @@ class FracturedRock:
             systems["jumps"] = self.without.duplicate()
         self.without.copy(systems["jumps"])  # which has entries of empty rows beside
         systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        _fill_empty(systems["jumps"])
+        _fill_empty(systems["jumps"], _largest_in_rows(systems["jumps"]))
         _shift(systems["jumps"])
 
     @timed("FracRockApply")
@@ -193,23 +196,19 @@ def _shift(system: PETSc.Mat) -> None:
     diagonal.destroy()
 
 
-def _rows_of(moved: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
-    """Some rows of a matrix, with all its columns. Collective."""
-    first, last = moved.getOwnershipRangeColumn()
-    cols = PETSc.IS().createStride(last - first, first, 1, comm=moved.getComm())
-    result = moved.createSubMatrix(rows, cols)
-    cols.destroy()
-    return result
-
-
-def _fill_empty(system: PETSc.Mat) -> None:
-    """Put 1 on the diagonal of empty rows. Collective.
-
-    They belong to displacements of held unknowns, and to pressures between parts of a hat that meet in no joint.
-    """
+def _largest_in_rows(system: PETSc.Mat) -> Floats:
+    """Largest size of an entry in each of this rank's rows (n,). Not collective."""
     indptr, _, values = system.getValuesCSR()
     size, has = np.zeros(len(indptr) - 1), np.diff(indptr) > 0
     size[has] = np.maximum.reduceat(np.abs(values), indptr[:-1][has]) if has.any() else 0.0
+    return size
+
+
+def _fill_empty(system: PETSc.Mat, size: Floats) -> None:
+    """Put 1 on the diagonal of empty rows, by the ``size`` (n,) of each row's entries. Collective.
+
+    They belong to displacements of held unknowns, and to pressures between parts of a hat that meet in no joint.
+    """
     system.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     round_off = 10.0 * np.finfo(float).eps * system.getComm().tompi4py().allreduce(size.max(initial=0.0), op=MPI.MAX)
     start = system.getOwnershipRange()[0]
