@@ -20,10 +20,9 @@ _FUNCTIONS = {
     "fracflow_cells": (_REAL, (_INT, _INT, *[_ARRAY] * 8)),
     "fracflow_move": (None, (_INT, _INT, _ARRAY, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_start": (None, (_INT, _REAL, _REAL, *[_ARRAY] * 3)),
-    "fracflow_stop": (None, (_INT, *[_ARRAY] * 3)),
+    "fracflow_stop": (None, (_INT, *[_ARRAY] * 12)),
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
-    "fracflow_give": (None, (_INT, *[_ARRAY] * 3)),
     "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
