@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from time import process_time
 
-from fracflow._petsc import destroy
+from fracflow._petsc import destroy, memory_kept
 from fracflow.advance.explicit_flow import ExplicitFlow
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Log, Outcome
@@ -101,6 +101,7 @@ class ExplicitSubsteps:
 
     explicit: ExplicitSteps
 
+    @memory_kept()
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """All substeps, one after the other. Raises SolveError, on every rank. Collective."""
         explicit, flow, dt = self.explicit, self.explicit.flow, request.length
@@ -145,7 +146,8 @@ class ExplicitSubsteps:
         try:
             if flow is not None:
                 return flow.check(new)
-            found = significant_digits(model.operators, new)
+            sums = self.explicit.leapfrog.run.sums
+            found = significant_digits(model.operators, new, None if sums is None else sums.inertia)
             refuse_few(found, model.scene.accuracy.digits, new.time)
             return found.digits
         except BaseException:

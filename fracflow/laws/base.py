@@ -130,6 +130,8 @@ class JointLaw(Protocol):
     creeps        whether it slips at any traction, at a rate that depends on it
     weakens_over  key of the slip over which its strength falls; empty where it has none
     no_drop       setting with which its strength does not drop at once; empty where it never does
+    compiled      number of its copy in the plane, among the compiled loops of explicit steps. It is not inherited, since a
+                  law that inherits may respond otherwise. None without a copy
     """
 
     history: ClassVar[dict[str, HistoryVariable]] = {}
@@ -140,6 +142,7 @@ class JointLaw(Protocol):
     creeps: ClassVar[bool] = False
     weakens_over: ClassVar[str] = ""
     no_drop: ClassVar[str] = ""
+    compiled: ClassVar[int | None] = None
 
     def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""

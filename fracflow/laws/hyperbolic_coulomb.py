@@ -53,6 +53,7 @@ class HyperbolicCoulomb(FrictionLaw):
 
     history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
     no_drop: ClassVar[str] = "stick_slip_ratio = 1"
+    compiled: ClassVar[int | None] = 1
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``history``, at most one change of status.

@@ -35,6 +35,7 @@ class Linear(JointLaw):
     initial_normal_traction: Parameter = 0.0
     initial_shear_traction: Parameter = 0.0
 
+    compiled: ClassVar[int | None] = 0
     passes_over: ClassVar[bool] = True  # a scene may switch to springs, and keep its friction for later
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:

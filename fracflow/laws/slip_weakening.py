@@ -60,6 +60,7 @@ class SlipWeakening(FrictionLaw):
 
     history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "slip_path": SLIP_PATH, "sliding": SLIDING}
     weakens_over: ClassVar[str] = "slip_weakening_distance"
+    compiled: ClassVar[int | None] = 2
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
         """Mu of slip paths D (n,), and by how much it falls with further slip [1/length], 0 from D_c on."""

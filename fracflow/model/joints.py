@@ -423,7 +423,7 @@ def steepest(
         if falls.max(initial=0.0) > worst[0]:
             fracture = blocks.joints.fracture[group.sections[falls.argmax()] // joints.points]
             worst = (float(falls.max()), blocks.joints.fractures[fracture], group.law.weakens_over)
-    return max(blocks.comm.allgather(worst))
+    return worst if blocks.comm.size == 1 else max(blocks.comm.allgather(worst))
 
 
 def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:

@@ -89,10 +89,11 @@ def round_off_of_rock(operators: Operators, displacement: float) -> float:
     return NOISE * UNIT_ROUND_OFF * operators.scales.stiffness * displacement
 
 
-def significant_digits(operators: Operators, state: State) -> SignificantDigits:
+def significant_digits(operators: Operators, state: State, inertia: float | None = None) -> SignificantDigits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
-    Counted from the largest traction that a fracture has carried: after unloading only round-off remains.
+    Counted from the largest traction that a fracture has carried: after unloading only round-off remains. ``inertia`` is the
+    largest force of it on this rank, where that is known.
     """
     sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
@@ -104,14 +105,16 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
     is_closed = stiff > 0.0
     largest = np.zeros((5, count))
-    for row, values in enumerate((error, rock * is_closed, sections.record, stiff, beside)):
-        np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
+    order = np.argsort(fracture, kind="stable")
+    present, starts = np.unique(fracture[order], return_index=True)
+    values = np.array([error, rock * is_closed, sections.record, stiff, beside])[:, order]
+    if len(present):
+        largest[:, present] = np.maximum.reduceat(np.where(np.isfinite(values), values, 0.0), starts, axis=1)
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
-    inertia = state.forces.load.duplicate()
-    operators.mass.mult(state.motion.acceleration, inertia)
-    forces = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
-    inertia.destroy()
+    inertia = _largest_inertia(operators, state) if inertia is None else comm.allreduce(inertia, op=MPI.MAX)
+    outer = [vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support)]
+    forces = max(*outer, inertia)
     least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
     held = np.maximum(size, max(least, PRESSURE_SHARE * state.max_overpressure))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
@@ -121,6 +124,14 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
     stiffness = float(beside[worst] if by_rock else stiff[worst])
     return SignificantDigits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
+
+
+def _largest_inertia(operators: Operators, state: State) -> float:
+    force = state.forces.load.duplicate()
+    operators.mass.mult(state.motion.acceleration, force)
+    found = float(force.norm(PETSc.NormType.INFINITY))
+    force.destroy()
+    return found
 
 
 def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:

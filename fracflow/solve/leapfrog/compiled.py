@@ -1,4 +1,4 @@
-"""The compiled loops of ``rock.c``, which setting up makes where there is a compiler.
+"""The compiled loops of ``rock.c`` and ``joints.c``, which setting up makes where there is a compiler.
 
 C and not numba, which takes 2.0 times as long on quadrilaterals and 1.3 times on triangles. It also brings 160 MB, and
 compiles for 4 s in each new environment. The loops need no header but C's own, and are called through ctypes.
@@ -13,24 +13,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1  # of the functions' arguments, as in rock.c
+VERSION = 2  # of the functions' arguments, as in rock.c
 _INT, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 12, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_cells": (_REAL, (_INT, _INT, *[_ARRAY] * 8)),
     "fracflow_move": (None, (_INT, _INT, _ARRAY, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_start": (None, (_INT, _REAL, _REAL, *[_ARRAY] * 3)),
-    "fracflow_stop": (None, (_INT, *[_ARRAY] * 3)),
+    "fracflow_stop": (None, (_INT, *[_ARRAY] * 12)),
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
-    "fracflow_give": (None, (_INT, *[_ARRAY] * 3)),
+    "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """The functions of ``rock.c``; None where they were not compiled, or are those of another version."""
+    """The functions; None where they were not compiled, or are those of another version."""
     for path in sorted(Path(__file__).parent.glob("_rock*.so")):
         try:
             found = ctypes.CDLL(str(path))

@@ -1,8 +1,9 @@
 """Joints at the end of an explicit step without a fluid, cluster by cluster.
 
 They solve e = e_free - S G M^-1 G' W (f(e) - f_old).
-As in ``sections``, with fewer evaluations of the laws. The first trial follows from the tangents of the last step. Laws may
-change statuses at each trial; while none does, what they answer is also that of the statuses held.
+As in ``sections``, with fewer evaluations of the laws. The first trial is that of ``guess``, which the laws mostly confirm.
+Else it follows from the tangents of the last step. Laws may change statuses at each trial; while none does, their answer is
+also that of the statuses held.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.failure import fractures_of
+from fracflow.solve.leapfrog.guess import JointGuess, joint_guess
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.residual import over_ranks
 from fracflow.solve.sections import MOTION_ROUND_OFF, TIGHT
@@ -38,6 +40,7 @@ class JointSolver:
     def __init__(self, operators: Operators, clusters: Clusters, most: int) -> None:
         """Keep what is constant; ``most`` iterations while no section changes its status."""
         self.operators, self.clusters, self.most = operators, clusters, most
+        self.guess = joint_guess(operators, clusters, most)
         self._is_alone, self._share = operators.layout.comm.size == 1, np.nan
         self._weights = operators.joints.weights[:, None]
 
@@ -54,6 +57,9 @@ class JointSolver:
         Raises NotConverged, on every rank. Collective.
         """
         self._scale(share)
+        guessed = None if self.guess is None or step.hold else self._confirmed(self.guess, before, free, share, step)
+        if guessed is not None:
+            return guessed
         joints, comm, held = (
             self.operators.joints,
             self.operators.layout.comm,
@@ -100,6 +106,22 @@ class JointSolver:
             f" {self.most} iterations of an explicit step (motion of sections out by {worst:.1e}): take a smaller time_step",
             kind="sections",
         )
+
+    def _confirmed(
+        self, guess: JointGuess, before: Sections, free: Floats, share: float, step: LawStep
+    ) -> Solved | None:
+        """The sections at a guess; None where the laws find no balance there or change a status. Collective."""
+        joints, trial = self.operators.joints, guess.solve(before, free, share)
+        answer = joints.evaluate(before.strain + trial.change, trial.status, step)
+        is_bad = trial.iterations < 0 or bool(joints.have_changed(trial.status, answer.history).any())
+        left, _, size = self._balance(before, free, trial.change, answer)
+        beyond, is_finite = np.abs(left) - MOTION_ROUND_OFF * size, np.isfinite(answer.traction).all()
+        here = [float(np.abs(each).max(initial=0.0)) for each in (trial.change, left)]
+        here += [float(beyond.max(initial=0.0)), float(is_bad or not is_finite), float(trial.iterations)]
+        moved, worst, most, has_bad, iterations = over_ranks(here, self.operators.layout.comm)
+        if has_bad or not most <= TIGHT * moved:
+            return None
+        return Solved(answer, round(iterations), worst / moved if moved > 0.0 else 0.0)
 
     def _with_status(self, before: Sections, found: Sections) -> SectionHistory:
         return self.operators.joints.with_status(before.history, found.history)

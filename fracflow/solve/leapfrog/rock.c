@@ -13,7 +13,7 @@
 #endif
 #define INLINE static inline __attribute__((always_inline))
 
-const int fracflow_leapfrog_version = 1;
+const int fracflow_leapfrog_version = 2;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));
@@ -118,36 +118,42 @@ FOR_MACHINES void fracflow_start(int32_t n, double half, double step, const doub
   }
 }
 
-/* a = f/m where forces alone move a node. */
-FOR_MACHINES void fracflow_stop(int32_t n, const double *inverse, const double *f, double *a) {
-  for (int64_t i = 0; i < 2 * (int64_t)n; i++)
-    if (inverse[i / 2] > 0.0) a[i] = inverse[i / 2] * f[i];
-}
-
-/* Sums of m v v, m a a and s u, with m of each unknown. */
+/* Sums of m v v, m a a and s u, and the largest |m a|, with m of each unknown. */
 FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
                                 double *sums) {
-  double moving = 0.0, pushed = 0.0, work = 0.0;
+  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0;
   for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
+    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
     moving += mass[i] * v[i] * v[i];
-    pushed += mass[i] * a[i] * a[i];
+    pushed += force * a[i];
     work += s[i] * u[i];
+    largest = size > largest ? size : largest;
   }
-  sums[0] = moving, sums[1] = pushed, sums[2] = work;
+  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest;
 }
 
-/* Nodes of one order (n,) from places of another: there = here[place]; back: there[place] = here. */
+/* a = f/m where forces alone move a node; those sums; and u, v, a of each node to its place in another order. */
+FOR_MACHINES void fracflow_stop(int32_t n, const int32_t *place, const double *inverse, const double *f, const double *mass, const double *s,
+                                const double *u, const double *v, double *a, double *to_u, double *to_v, double *to_a, double *sums) {
+  double found[4] = {0.0, 0.0, 0.0, 0.0};
+  for (int64_t k = 0; k < n; k++)
+    for (int64_t i = 2 * k, j = 2 * (int64_t)place[k]; i < 2 * k + 2; i++, j++) {
+      if (inverse[k] > 0.0) a[i] = inverse[k] * f[i];
+      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
+      found[0] += mass[i] * v[i] * v[i];
+      found[1] += force * a[i];
+      found[2] += s[i] * u[i];
+      found[3] = size > found[3] ? size : found[3];
+      to_u[j] = u[i], to_v[j] = v[i], to_a[j] = a[i];
+    }
+  memcpy(sums, found, sizeof found);
+}
+
+/* Nodes of one order (n,) from places of another: there = here[place]. */
 void fracflow_take(int32_t n, const int32_t *place, const double *here, double *there) {
   for (int64_t i = 0; i < n; i++) {
     there[2 * i] = here[2 * (int64_t)place[i]];
     there[2 * i + 1] = here[2 * (int64_t)place[i] + 1];
-  }
-}
-
-void fracflow_give(int32_t n, const int32_t *place, const double *here, double *there) {
-  for (int64_t i = 0; i < n; i++) {
-    there[2 * (int64_t)place[i]] = here[2 * i];
-    there[2 * (int64_t)place[i] + 1] = here[2 * i + 1];
   }
 }
 

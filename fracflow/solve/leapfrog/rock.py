@@ -6,7 +6,8 @@ moves. Outer forces are e. A step takes f = e - K u; v += kick f/m; u += drift v
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +21,15 @@ from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
 
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
+
+
+class Sums(NamedTuple):
+    """Sums of m v^2, of m a^2, and of displacements times given values; the largest |m a|. Masses are the diagonal ones."""
+
+    moving: float
+    pushed: float
+    work: float
+    inertia: float
 
 
 class Rock(Protocol):
@@ -45,10 +55,6 @@ class Rock(Protocol):
         """Read the local values of a vector into one of the arrays (n,)."""
         ...
 
-    def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays (n,) into a vector."""
-        ...
-
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
         ...
@@ -57,12 +63,12 @@ class Rock(Protocol):
         """One step of all unknowns. Collective."""
         ...
 
-    def stop(self) -> None:
-        """Set a = f/m where forces alone move a node."""
+    def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
         ...
 
-    def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
+    def sums(self, values: Floats) -> Sums:
+        """This rank's, with ``values`` (n,) in the order of u."""
         ...
 
     def destroy(self) -> None:
@@ -137,6 +143,7 @@ class Cells:
         top = np.minimum(np.maximum.accumulate(top), self._early).astype(np.int32)
         self._middle = len(top) // 2
         self._sweep = [node, top, *starts]
+        self._starts = [address(each) for each in self._sweep]
 
     def _share(self, blocks: Blocks, place: Ints) -> None:
         """Make the way of ghost values between ranks."""
@@ -166,30 +173,31 @@ class Cells:
         at_nodes = np.where(held.reshape(-1, 2).any(axis=1), 0.0, 1.0 / np.maximum(mass.reshape(-1, 2)[:, 0], 1e-300))
         self._w[: self.owned] = at_nodes[self._order]
         self._mass[self.places] = mass
+        # arrays stay where they are: finding their addresses anew would take a third of the calls' own time
+        self._data = [*map(address, (*self._swept, self._moduli, self._x, self._w, self.e))]
+        self._motion = [*map(address, (self.u, self.v, self.f))]
 
     def begin(self, vector: PETSc.Vec, values: Floats) -> None:
         """Read the local values of a vector into one of the arrays (n,)."""
         given = vector.getArray(readonly=True)
         self._loops.fracflow_take(self.owned, address(self._order), address(given), address(values))
 
-    def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays (n,) into a vector."""
-        self._loops.fracflow_give(self.owned, address(self._order), address(values), address(vector.getArray()))
-
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
         self._loops.fracflow_start(self.owned, 0.5 * dt, dt, *map(address, (self.a, self.u, self.v)))
 
-    def stop(self) -> None:
-        """Set a = f/m where forces alone move a node."""
-        self._loops.fracflow_stop(self.owned, *map(address, (self._w, self.f, self.a)))
+    def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
+        found, there = np.zeros(4), [each.getArray() for each in vectors]
+        known = self._order, self._w, self.f, self._mass, values, self.u, self.v, self.a
+        self._loops.fracflow_stop(self.owned, *map(address, (*known, *there, found)))
+        return Sums(*found.tolist())
 
-    def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
-        found = np.zeros(3)
+    def sums(self, values: Floats) -> Sums:
+        """This rank's, with ``values`` (n,) in the order of u."""
+        found = np.zeros(4)
         self._loops.fracflow_sums(self.owned, *map(address, (self._mass, self.v, self.a, values, self.u, found)))
-        moving, pushed, work = found.tolist()
-        return moving, pushed, work
+        return Sums(*found.tolist())
 
     def step(self, kick: float, drift: float) -> None:
         """One step of all unknowns. Collective."""
@@ -209,8 +217,7 @@ class Cells:
         scatter.scatterBegin(force[1], force[0], *back)
         twice += self._swept_by(ranges // 2, ranges, kick, drift)
         scatter.scatterEnd(force[1], force[0], *back)
-        moved = map(address, (self.u, self.v, self.f))
-        self._loops.fracflow_move(self._early, self.owned, address(self._w), kick, drift, *moved)
+        self._loops.fracflow_move(self._early, self.owned, address(self._w), kick, drift, *self._motion)
         self.energy = 0.5 * twice
 
     def _swept_by(self, first: int, last: int, kick: float, drift: float) -> float:
@@ -218,10 +225,8 @@ class Cells:
         if first == last:
             return 0.0
         begun = int(self._sweep[1][first - 1]) if first else 0
-        starts = [address(each[first:]) for each in self._sweep]
-        data = map(address, (*self._swept, self._moduli, self._x, self._w, self.e))
-        moved = map(address, (self.u, self.v, self.f))
-        return float(self._loops.fracflow_sweep(last - first, begun, *starts, *data, kick, drift, *moved))
+        starts = [start + 4 * first for start in self._starts]  # of whole numbers of 4 bytes
+        return float(self._loops.fracflow_sweep(last - first, begun, *starts, *self._data, kick, drift, *self._motion))
 
     def destroy(self) -> None:
         """Free the way between ranks. Collective."""
@@ -253,22 +258,27 @@ class AssembledRock:
         """Read the local values of a vector into one of the arrays (n,)."""
         values[:] = vector.getArray(readonly=True)
 
-    def end(self, values: Floats, vector: PETSc.Vec) -> None:
-        """Write one of the arrays (n,) into a vector."""
-        vector.getArray()[:] = values
-
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
         self.v += 0.5 * dt * self.a
         self.u += dt * self.v
 
-    def stop(self) -> None:
-        """Set a = f/m where forces alone move a node."""
+    def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
         np.copyto(self.a, self._w * self.f, where=self._w > 0.0)
+        for vector, here in zip(vectors, (self.u, self.v, self.a), strict=True):
+            vector.getArray()[:] = here
+        return self.sums(values)
 
-    def sums(self, values: Floats) -> tuple[float, float, float]:
-        """This rank's sums of m v^2, of m a^2, and of displacements times ``values`` (n,), in the order of u."""
-        return float(self._mass @ self.v**2), float(self._mass @ self.a**2), float(values @ self.u)
+    def sums(self, values: Floats) -> Sums:
+        """This rank's, with ``values`` (n,) in the order of u."""
+        force = self._mass * self.a
+        return Sums(
+            float(self._mass @ self.v**2),
+            float(force @ self.a),
+            float(values @ self.u),
+            float(np.abs(force).max(initial=0.0)),
+        )
 
     def step(self, kick: float, drift: float) -> None:
         """One step of all unknowns. Collective."""

@@ -24,6 +24,7 @@ from fracflow.solve.explicit import ExplicitModel
 from fracflow.solve.leapfrog.joints import JointSolver, Solved
 from fracflow.solve.leapfrog.local import by_blocks
 from fracflow.solve.leapfrog.nodes import Nodes
+from fracflow.solve.leapfrog.rock import Sums
 from fracflow.solve.request import StepRequest
 from fracflow.solve.residual import round_off_of_jumps
 
@@ -77,6 +78,7 @@ class RockSums:
     strain    strain energy;  ``springs`` that of the K of terms
     moving    v M v;  ``pushed`` m a^2 where it is free, but for rigid bodies
     prestress, constant  work of the initial stress on displacements, and of loads where none changes
+    inertia   the largest force of inertia; None where masses are no diagonal, as those of rigid bodies
     """
 
     strain: float
@@ -85,6 +87,7 @@ class RockSums:
     pushed: float
     prestress: float
     constant: float
+    inertia: float | None
 
 
 class Run:
@@ -109,7 +112,7 @@ class Run:
             for vector, values in zip(state.motion.vectors, (rock.u, rock.v, rock.a), strict=True):
                 rock.begin(vector, values)
             rock.step(0.0, 0.0)
-            self.sums = self._rock_sums()
+            self.sums = self._rock_sums(rock.sums(nodes.prestress))
         self.old_sums = self.sums
         self.sections, self.friction = state.sections, state.friction
         self.total = state.sections.traction
@@ -161,21 +164,23 @@ class Run:
         self.base = self.rock.e[nodes.places]
         constant.destroy()
 
-    def _rock_sums(self) -> RockSums:
+    def _rock_sums(self, sums: Sums) -> RockSums:
         """Those of the present instant, of whose displacements the last sweep was."""
         nodes, rock = self.nodes, self.rock
         springs = {}
         for name, matrix in nodes.springs.items():
             u = rock.u[nodes.places[nodes.at_springs[name]]]
             springs[name] = 0.5 * float(u @ matrix.times(u))
-        moving, pushed, prestress = rock.sums(nodes.prestress)
+        moving, pushed, prestress, inertia = sums
         apart = nodes.is_held | nodes.on_body
         pushed -= float(nodes.mass[nodes.every[apart]] @ rock.a[nodes.places[apart]] ** 2)
         if len(nodes.bodies):
             speed = rock.v[nodes.places[nodes.at_own]]
             moving += float(speed @ (nodes.inertia(speed) - nodes.mass[nodes.own] * speed))
         constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
-        return RockSums(rock.energy, springs, moving, pushed, prestress, constant)
+        ops = nodes.operators
+        largest = inertia if ops.expand is None and ops.inward is None else None
+        return RockSums(rock.energy, springs, moving, pushed, prestress, constant, largest)
 
     def predict(self, time: float, controls: Mapping[str, float], around: Around) -> None:
         """Motion of all nodes in a step without what joints change in it. Collective."""
@@ -334,10 +339,8 @@ class Run:
         fluid  entries that this has added to the energy balance
         """
         nodes, rock, layout = self.nodes, self.rock, self.nodes.operators.layout
-        rock.stop()
         motion = Motion(*(layout.solid_vector() for _ in range(3)))
-        for vector, values in zip(motion.vectors, (rock.u, rock.v, rock.a), strict=True):
-            rock.end(values, vector)
+        self.sums = self._rock_sums(rock.stop(motion.vectors, nodes.prestress))
 
         def at(numbers: Ints, values: Floats) -> PETSc.Vec:
             result = layout.solid_vector()
@@ -353,7 +356,6 @@ class Run:
         of_terms |= {name: at(nodes.damping[name].numbers, values) for name, values in self.damped.items()}
         support, anchor = at(nodes.held, self.support), None if old.anchor is None else copy(old.anchor)
         forces = Forces(load, support, old.conduction.copy(), old.source.copy(), of_terms, self.powers, anchor)
-        self.sums = self._rock_sums()
         self.last = replace(
             state,
             time=request.time,

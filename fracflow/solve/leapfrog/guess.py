@@ -1,0 +1,110 @@
+"""A first guess of the motion of joints in an explicit step, by the compiled loops of ``joints.c``.
+
+Those have a copy of some laws, in the plane. The laws evaluate a guess like any other trial. Where they find no balance, or
+another status, it counts for nothing. It spares four of five evaluations, each of which passes some 250 arrays.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracflow.laws import JointLaw
+from fracflow.laws.base import per_section
+from fracflow.mesh.data import Floats
+from fracflow.model.joints import Joints
+from fracflow.model.operators import Operators
+from fracflow.model.state import SectionHistory, Sections
+from fracflow.solve.clusters import Batch, Clusters
+from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.newton import MOST_CHANGES
+
+MOST_MEMBERS = 8  # sections of a cluster, as in joints.c
+PARAMETERS = {
+    "normal_stiffness": 1.0, "shear_stiffness": 1.0, "aperture": 1.0, "initial_normal_traction": 0.0,
+    "initial_shear_traction": 0.0, "cohesion": 0.0, "friction_coefficient": 0.0, "dynamic_friction_coefficient": 0.0,
+    "slip_weakening_distance": 1.0, "stick_slip_ratio": 1.0, "strength_when_open": 0.0,
+}  # fmt: skip
+"""Columns of a law behind its number and the weight of its section, and their values where the law has none of that name."""
+
+
+class Trial(NamedTuple):
+    """Motion of sections (s, 2), their histories with the statuses there, and iterations; -1 where it is no balance."""
+
+    change: Floats
+    status: SectionHistory
+    iterations: int
+
+
+class _Batch:
+    """A batch of clusters as joints.c takes it."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._arrays = np.ascontiguousarray(batch.sections, np.int64), np.ascontiguousarray(batch.compliance, float)
+        self.given = (*batch.sections.shape, *map(address, self._arrays))
+
+
+class JointGuess:
+    """Newton's method in each cluster by itself, compiled."""
+
+    def __init__(self, operators: Operators, clusters: Clusters, most: int) -> None:
+        """Bring the parameters of the laws to where clusters are solved for. Collective."""
+        self.joints, self.clusters, self.most = operators.joints, clusters, most
+        count = len(self.joints.weights)
+        self._laws = clusters.exchange.there(_rows(self.joints))
+        self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 3))
+        self._batches = [_Batch(each) for each in clusters.batches]
+
+    def solve(self, before: Sections, free: Floats, share: float) -> Trial:
+        """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""
+        loops, here = library(), self._before
+        assert loops is not None
+        here[:, :2], here[:, 2:4], here[:, 4:6] = free, before.strain, before.traction
+        here[:, 6:10] = before.tangent.reshape(-1, 4)
+        for group, history in zip(self.joints.laws, before.history, strict=True):
+            for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
+                if name in history:
+                    here[group.sections, column] = history[name].ravel()
+        there, most = self.clusters.exchange.there(here), 0
+        laws, given, found = address(self._laws), address(there), address(self._found)
+        for batch in self._batches:
+            done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found)
+            most = max(most, done) if done >= 0 and most >= 0 else -1
+        back = self.clusters.exchange.back(self._found)
+        return Trial(back[:, :2], self._with_status(before.history, here[:, 11], back[:, 2]), most)
+
+    def _with_status(self, history: SectionHistory, before: Floats, now: Floats) -> SectionHistory:
+        if np.array_equal(before, now):
+            return history
+        return tuple(
+            {**start, "sliding": now[group.sections, None]} if "sliding" in start else start
+            for group, start in zip(self.joints.laws, history, strict=True)
+        )
+
+
+def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:
+    """The guess for a scene; None where loops are not compiled, or have no copy of its laws. Collective."""
+    joints, comm = operators.joints, operators.layout.comm
+    has_laws = joints.dim == 2 and all(_copy_of(group.law) is not None for group in joints.laws)
+    is_small = all(each.sections.shape[1] <= MOST_MEMBERS for each in clusters.batches)
+    lacks = comm.allreduce(int(library() is None or not has_laws or not is_small))
+    return None if lacks else JointGuess(operators, clusters, most)
+
+
+def _copy_of(law: JointLaw) -> int | None:
+    """The number of the copy that a law has by itself, not by what it inherits."""
+    found: int | None = vars(type(law)).get("compiled")
+    return found
+
+
+def _rows(joints: Joints) -> Floats:
+    """Number of the law, weight and parameters (s, 13) of this rank's sections."""
+    rows = np.zeros((len(joints.weights), 2 + len(PARAMETERS)))
+    rows[:, 1] = joints.weights
+    for group in joints.laws:
+        count = len(group.sections)
+        rows[group.sections, 0] = _copy_of(group.law)
+        for column, (name, none) in enumerate(PARAMETERS.items(), start=2):
+            rows[group.sections, column] = per_section(np.ravel(getattr(group.law, name, none)), count)
+    return rows

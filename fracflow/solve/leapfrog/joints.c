@@ -1,0 +1,208 @@
+/* The motion of joints in an explicit step, cluster by cluster, as ``joints.py`` has it for all at once, in the plane.
+
+   A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Laws here are a copy of ``closure.py``, ``friction.py``,
+   ``hyperbolic_coulomb.py``, ``slip_weakening.py`` and ``linear.py`` as far as tractions and statuses go, by columns of LAW. */
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#define MOST_MEMBERS 8
+#define MOST_SIZE (2 * MOST_MEMBERS)
+#define UNIT 2.220446049250313e-16
+#define SLACK 1e-12 /* ``friction.ONSET_ROUND_OFF`` */
+#define LEFT 1e-14  /* of the motion of the cluster */
+
+/* columns of a section's law, of what it was before the step with its free motion, and of what it is after it */
+enum { KIND, WEIGHT, K_N, K_S, GAP, F_N, F_S, COHESION, PEAK, DYNAMIC, DISTANCE, RATIO, OPEN_STRENGTH, LAW };
+enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE };
+enum { LINEAR, COULOMB, WEAKENING };
+
+typedef struct {
+  double traction[2], tangent[4], status;
+} response;
+
+static inline double friction_at(const double *law, double path) {
+  return path < law[DISTANCE] ? law[PEAK] - (law[PEAK] - law[DYNAMIC]) / law[DISTANCE] * path : law[DYNAMIC];
+}
+
+/* The response at a strain; ``status`` is the direction of sliding, 0 while it sticks, and stays where it is held; tractions are
+   those of statuses held. 0 where crushed. */
+static int responds(const double *law, const double *before, const double *strain, double status, int is_held, response *found) {
+  double *f = found->traction, *d = found->tangent;
+  d[1] = d[2] = 0.0, found->status = status;
+  if (law[KIND] == LINEAR) {
+    f[0] = law[F_S] + law[K_S] * strain[0], f[1] = law[F_N] + law[K_N] * strain[1];
+    d[0] = law[K_S], d[3] = law[K_N];
+    return 1;
+  }
+  const double k_s = law[K_S], edge = -law[F_N] / law[K_N], gap = law[GAP];
+  if (!(strain[1] > -gap)) return 0;
+  const int is_open = strain[1] > edge, is_free = is_open && !(law[OPEN_STRENGTH] > 0.0);
+  const double opening = is_open ? edge : strain[1], squeeze = 1.0 + fmin(opening, 0.0) / gap;
+  const double f_n = is_open ? 0.0 : fmin(law[F_N] + law[K_N] * opening / squeeze, 0.0);
+  const double k_n = is_open ? 0.0 : law[K_N] / (squeeze * squeeze);
+  const double shear = law[F_S] + k_s * (strain[0] - before[PLASTIC]), size = fabs(shear), along = shear * status;
+  const int slid = status != 0.0, weakens = law[KIND] == WEAKENING;
+  const double path = before[PATH], mu = weakens ? friction_at(law, path) : law[PEAK];
+  const double onset = is_free ? 0.0 : law[COHESION] - f_n * mu, kept = law[RATIO] * onset;
+  const double slack = SLACK * ((isfinite(onset) ? onset : 0.0) + k_s * fabs(strain[0]));
+  int slides = slid;
+  if (!is_held) slides = slid ? along >= kept - slack : size >= onset - slack && size > 0.0;
+  slides = slides && !is_free;
+  f[0] = is_free ? 0.0 : shear, f[1] = f_n;
+  d[0] = is_free ? 0.0 : k_s, d[3] = k_n;
+  if (!slides) {
+    found->status = 0.0;
+    return 1;
+  }
+  const int is_back = slid && along <= 0.0;
+  const double way = size > 0.0 && !is_back ? (shear > 0.0 ? 1.0 : -1.0) : status;
+  double carried = kept, by_size = 0.0, by_normal = -law[RATIO] * law[PEAK];
+  if (weakens) {
+    const double excess = is_back ? 0.0 : fmax(size - onset, 0.0);
+    const double falls = path < law[DISTANCE] ? (law[PEAK] - law[DYNAMIC]) / law[DISTANCE] : 0.0, stiff = k_s + f_n * falls;
+    const double slip = !(excess > 0.0) ? 0.0 : stiff > 0.0 ? excess / stiff : INFINITY; /* past D_c, as it would be without */
+    const double share = slip > 0.0 && falls > 0.0 && path + slip < law[DISTANCE] ? k_s / stiff : 1.0;
+    const double now = friction_at(law, path + slip);
+    if (slip > 0.0) carried = law[COHESION] - f_n * now;
+    by_size = 1.0 - share, by_normal = -now * share;
+  }
+  f[0] = carried * way;
+  d[0] = by_size * k_s;
+  d[1] = f_n < 0.0 ? by_normal * k_n * way : 0.0;
+  found->status = way;
+  return 1;
+}
+
+/* x = A^-1 x by elimination with pivots; 0 where A is singular. */
+static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
+  for (int k = 0; k < n; k++) {
+    int p = k;
+    for (int i = k + 1; i < n; i++)
+      if (fabs(a[i][k]) > fabs(a[p][k])) p = i;
+    if (!(fabs(a[p][k]) > 0.0)) return 0;
+    if (p != k) {
+      for (int j = k; j < n; j++) {
+        const double kept = a[k][j];
+        a[k][j] = a[p][j], a[p][j] = kept;
+      }
+      const double kept = x[k];
+      x[k] = x[p], x[p] = kept;
+    }
+    for (int i = k + 1; i < n; i++) {
+      const double by = a[i][k] / a[k][k];
+      if (by == 0.0) continue;
+      for (int j = k + 1; j < n; j++) a[i][j] -= by * a[k][j];
+      x[i] -= by * x[k];
+    }
+  }
+  for (int k = n - 1; k >= 0; k--) {
+    for (int j = k + 1; j < n; j++) x[k] -= a[k][j] * x[j];
+    x[k] /= a[k][k];
+  }
+  return 1;
+}
+
+typedef struct {
+  const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
+  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], moduli[4 * MOST_MEMBERS];
+} cluster;
+
+/* What is left of the motion of a cluster, and its moduli times weights; -1 where crushed, 1 where it is no more than round-off. */
+static int balances(cluster *c, int members, const double *compliance, double share) {
+  const int n = 2 * members;
+  double push[MOST_SIZE], known[MOST_SIZE], moved = 0.0;
+  for (int m = 0; m < members; m++) {
+    const double *before = c->before[m], weight = c->law[m][WEIGHT];
+    const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
+    response at;
+    if (!responds(c->law[m], before, strain, c->status[m], 1, &at)) return -1;
+    for (int k = 0; k < 4; k++) c->moduli[4 * m + k] = weight * at.tangent[k];
+    for (int i = 0; i < 2; i++) {
+      const double *d = at.tangent + 2 * i;
+      push[2 * m + i] = weight * (at.traction[i] - before[TRACTION + i]);
+      known[2 * m + i] = weight * (fabs(d[0] * strain[0]) + fabs(d[1] * strain[1]) + 2.0 * fabs(at.traction[i]));
+      moved = fmax(moved, fabs(c->change[2 * m + i]));
+    }
+  }
+  int is_done = 1;
+  for (int i = 0; i < n; i++) {
+    const double free = c->before[i / 2][FREE + i % 2], *row = compliance + (int64_t)n * i;
+    double pulled = 0.0, size = 0.0;
+    for (int j = 0; j < n; j++) pulled += row[j] * push[j], size += fabs(row[j]) * known[j];
+    c->left[i] = free - c->change[i] - share * pulled;
+    size = fabs(free) + fabs(c->change[i]) + share * size;
+    if (!(fabs(c->left[i]) <= 4.0 * UNIT * size + LEFT * moved)) is_done = 0;
+  }
+  return is_done;
+}
+
+/* Newton's correction, as far as no section closes by more than 0.9 of its gap. */
+static int corrects(cluster *c, int members, const double *compliance, double share) {
+  const int n = 2 * members;
+  double matrix[MOST_SIZE][MOST_SIZE], allowed = 1.0;
+  for (int i = 0; i < n; i++)
+    for (int m = 0; m < members; m++) {
+      const double *row = compliance + (int64_t)n * i + 2 * m, *d = c->moduli + 4 * m;
+      matrix[i][2 * m] = share * (row[0] * d[0] + row[1] * d[2]) + (i == 2 * m);
+      matrix[i][2 * m + 1] = share * (row[0] * d[1] + row[1] * d[3]) + (i == 2 * m + 1);
+    }
+  if (!solves(n, matrix, c->left)) return 0;
+  for (int m = 0; m < members; m++) {
+    const double closes = -c->left[2 * m + 1], gap = c->before[m][STRAIN + 1] + c->change[2 * m + 1] + c->law[m][GAP];
+    if (c->law[m][KIND] != LINEAR && closes > 0.0) allowed = fmin(allowed, 0.9 * gap / closes);
+  }
+  for (int i = 0; i < n; i++) c->change[i] += allowed * c->left[i];
+  return 1;
+}
+
+/* Iterations of a cluster until it is in balance and no section changes its status; 0 where it does not come there. */
+static int settles(cluster *c, int members, const double *compliance, double share, int most, int most_changes) {
+  int total = 0;
+  for (int i = 0; i < 2 * members; i++) c->change[i] = 0.0, c->left[i] = c->before[i / 2][FREE + i % 2];
+  for (int m = 0; m < members; m++)
+    for (int k = 0; k < 4; k++) c->moduli[4 * m + k] = c->law[m][WEIGHT] * c->before[m][TANGENT + k];
+  for (int round = 0; round < most_changes; round++) {
+    int done = round ? balances(c, members, compliance, share) : 0;
+    for (int since = 0; done == 0 && since <= most; since++) {
+      total++;
+      if (!corrects(c, members, compliance, share)) return 0;
+      done = balances(c, members, compliance, share);
+    }
+    if (done != 1) return 0;
+    int changes = 0;
+    for (int m = 0; m < members; m++) {
+      const double *before = c->before[m];
+      const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
+      response at;
+      if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return 0;
+      if (at.status != c->status[m]) changes = 1, c->status[m] = at.status;
+    }
+    if (!changes) return total;
+  }
+  return 0;
+}
+
+/* The motion of sections and their statuses (s, 3) of clusters of as many members each, whose sections are ``rows`` of the tables.
+   The most iterations of a cluster; -1 where one of them did not come into balance. */
+int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, const double *compliance, double share,
+                        const double *laws, const double *before, int32_t most, int32_t most_changes, double *found) {
+  int32_t worst = 0;
+  if (members > MOST_MEMBERS) return -1;
+  for (int64_t k = 0; k < clusters; k++) {
+    cluster c = {0};
+    const int64_t *row = rows + k * members;
+    for (int m = 0; m < members; m++) {
+      c.law[m] = laws + LAW * row[m], c.before[m] = before + BEFORE * row[m];
+      c.status[m] = c.before[m][STATUS];
+    }
+    const int total = settles(&c, members, compliance + k * 4 * members * members, share, most, most_changes);
+    if (total == 0) return -1;
+    if (total > worst) worst = total;
+    for (int m = 0; m < members; m++) {
+      double *to = found + 3 * row[m];
+      to[0] = c.change[2 * m], to[1] = c.change[2 * m + 1], to[2] = c.status[m];
+    }
+  }
+  return worst;
+}

@@ -1,0 +1,104 @@
+"""Joints of explicit steps: the compiled guess has the balance and the statuses that the laws alone find."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.laws import HyperbolicCoulomb, LawStep, Linear, SlipWeakening
+from fracflow.model.joints import Joints, LawGroup
+from fracflow.solve.clusters import Batch, Clusters, Exchange
+from fracflow.solve.leapfrog.compiled import library
+from fracflow.solve.leapfrog.guess import joint_guess
+from fracflow.solve.leapfrog.joints import JointSolver
+
+pytestmark = [pytest.mark.serial, pytest.mark.skipif(library() is None, reason="loops are not compiled here")]
+STEPS, PAIRS, STIFF = 100, 12, 1e10
+COUNT = 3 * 3 * PAIRS  # three laws, by sections alone and in pairs
+
+
+def joints_of(rng):
+    """Sections of three laws in turn, each with parameters of its own; one in four has a cohesion, one never fails."""
+    groups, count = [], COUNT // 3
+    for k, law in enumerate((Linear, HyperbolicCoulomb, SlipWeakening)):
+        given = {
+            "normal_stiffness": STIFF * rng.uniform(0.5, 2.0, count),
+            "shear_stiffness": STIFF * rng.uniform(0.5, 2.0, count),
+            "initial_normal_traction": -1e6 * rng.uniform(0.5, 1.0, count),
+            "initial_shear_traction": 1e5 * rng.uniform(-1.0, 1.0, (count, 1)),
+        }
+        if k:
+            given |= {"aperture": 1e-3, "friction_coefficient": rng.uniform(0.3, 0.8, count)}
+            given["cohesion"] = np.where(np.arange(count) % 4, 0.0, 1e5)
+            given["cohesion"][0] = np.inf
+        if k == 1:
+            given |= {"stick_slip_ratio": rng.choice([0.9, 1.0], count), "strength_when_open": False}
+        if k == 2:
+            given |= {"dynamic_friction_coefficient": 0.2, "slip_weakening_distance": 2e-4, "strength_when_open": True}
+        groups.append(LawGroup(np.arange(k, COUNT, 3), law(**given)))
+    empty = SimpleNamespace()
+    return Joints(2, empty, empty, rng.uniform(0.5, 1.0, COUNT), np.zeros((COUNT, 2)), (), tuple(groups), np.zeros(1))
+
+
+def clusters_of(rng):
+    """A third of the sections alone, the others two at a node, of any laws and directions; nodes are light or heavy."""
+
+    def batch(rows):
+        members, angle = rows.shape[1], rng.uniform(0.0, np.pi, rows.shape)
+        turned = np.moveaxis(
+            np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), (0, 1), (2, 3)
+        )
+        shared = np.einsum("cmik,cnjk->cminj", turned, turned) * (0.5 + 0.5 * np.eye(members))[:, None, :, None]
+        matrix = shared.reshape(len(rows), 2 * members, 2 * members)
+        return Batch(rows, matrix * 10.0 ** rng.uniform(-1.0, 0.0, (len(rows), 1, 1)) / STIFF)
+
+    order = rng.permutation(COUNT)
+    exchange = Exchange(MPI.COMM_SELF, np.arange(COUNT), np.array([COUNT]), np.array([COUNT]))
+    alone = COUNT // 3
+    return Clusters(exchange, (batch(order[:alone, None]), batch(order[alone:].reshape(-1, 2))))
+
+
+def test_guess_is_what_the_laws_find():
+    """In a random walk that opens and closes sections and drives them to and fro, section by section."""
+    rng, comm = np.random.default_rng(3), MPI.COMM_SELF
+    joints, clusters = joints_of(rng), clusters_of(rng)
+    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=comm), blocks=None)
+    solver, plain = (JointSolver(operators, clusters, 30) for _ in range(2))
+    plain.guess = None
+    sections = joints.evaluate(np.zeros((COUNT, 2)), joints.initial_history())
+    confirmed, seen = [], np.zeros((4, COUNT), dtype=bool)
+    for number in range(STEPS):
+        free = np.sin(0.1 * number + np.arange(COUNT))[:, None] * [4e-5, 2e-5] + 1e-5 * rng.normal(size=(COUNT, 2))
+        step = LawStep(0.1 * number, 0.1, True)
+        found, wanted = solver.solve(sections, free, 1.0, step), plain.solve(sections, free, 1.0, step)
+        guessed = solver.guess.solve(sections, free, 1.0)
+        confirmed.append(np.array_equal(found.sections.strain, sections.strain + guessed.change))
+        moved = np.abs(wanted.sections.strain - sections.strain).max()
+        assert np.abs(found.sections.strain - wanted.sections.strain).max() < 1e-12 * moved
+        for one, other in zip(found.sections.history, wanted.sections.history, strict=True):
+            assert all(np.array_equal(one[name], other[name]) for name in one if name == "sliding")
+        sections = wanted.sections
+        is_sliding, is_open = sections.is_sliding, sections.is_open
+        seen |= np.array([is_sliding, is_open, ~is_sliding & ~is_open, seen[0] & ~is_sliding])
+    assert np.mean(confirmed) == 1.0
+    assert (seen[:, joints.laws[1].sections].sum(axis=1) > 5).all() and (
+        seen[:, joints.laws[2].sections].sum(axis=1) > 5
+    ).all()
+
+
+def test_laws_without_a_copy():
+    """Laws that inherit from those with one are others; so are joints in space."""
+    rng = np.random.default_rng(3)
+    joints, clusters = joints_of(rng), clusters_of(rng)
+    layout = SimpleNamespace(comm=MPI.COMM_SELF)
+
+    class Other(Linear):
+        """Another law."""
+
+    law = joints.laws[0].law
+    other = Other(law.normal_stiffness, law.shear_stiffness)
+    strange = replace(joints, laws=(LawGroup(joints.laws[0].sections, other), *joints.laws[1:]))
+    for each in (strange, replace(joints, dim=3)):
+        assert joint_guess(SimpleNamespace(joints=each, layout=layout), clusters, 30) is None
