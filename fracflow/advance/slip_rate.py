@@ -1,8 +1,8 @@
 """Steps by the rate of slip, where friction has a state: none without inertia may slip far beside the slip of its evolution.
 
 A step is V dt <= xi L long, V of each section and L = D_c, or less by the slip law (``JointLaw.state_length``). As slip
-slows down that alone would let each step be twice the last one, whatever xi, and V fall by the same factor: an error of first
-order in xi. So (V dt/L) (ln V/V_old)^2 <= xi^3 as well, by which the error of slip is of third order in each step.
+slows down that alone would let each step be twice the last one. Then V falls by the same factor in each, whatever xi: an
+error of first order. So (V dt/L) (ln V/V_old)^2 <= xi^3 as well.
 """
 
 from __future__ import annotations
