@@ -288,3 +288,23 @@ def _dense_tangent(ops):
         for numbers, block in zip(unknowns, blocks, strict=True):
             total[np.ix_(numbers, numbers)] += block
     return total
+
+
+@pytest.mark.parametrize(("rate", "evolution"), [(1e-9, 0.012), (1e-6, 0.012), (1e-9, 0.006)])
+def test_friction_with_a_state_tells_how_far_from_steady_it_starts(rate, evolution):
+    """tau/sigma = f0 + a ln(V/V0) + b ln(V0 theta/D_c): V theta/D_c and theta by hand."""
+    state = {
+        "law": "rate-and-state", "normal_stiffness": 1e12, "shear_stiffness": 1e12, "aperture": 1.0,
+        "friction_coefficient": 0.6, "reference_slip_rate": 1e-6, "direct_effect": 0.01, "evolution_effect": evolution,
+        "characteristic_slip": 0.004, "initial_slip_rate": rate,
+    }  # fmt: skip
+    scene = Scene.from_data(FAULT | {"fracture": {"fault": state}})
+    card = {number.name: number for number in pre_run_checks(scene, read_split(scene), {})}
+    away = (70.0 / 120.0 - 0.6 - (0.01 - evolution) * np.log(rate / 1e-6)) / evolution
+    start, dependence = card["state at the start"], card["rate dependence"]
+    assert start.value == pytest.approx(np.exp(away), rel=1e-6)
+    does = "speeds up from the start" if away > 0.0 else "slows down at first"
+    assert start.note == f"theta {scene.time_text(start.value * 0.004 / rate, 3)}; slip {does}"
+    assert dependence.value == pytest.approx((0.01 - evolution) * 120e6, rel=1e-9)
+    assert ("run away" in dependence.note) == (evolution > 0.01) and "D_c 0.004" in dependence.note
+    assert (card["creep nucleation"].value is None) == (evolution < 0.01)

@@ -1,6 +1,8 @@
 """Steps by the rate of slip, where friction has a state: none without inertia may slip far beside the slip of its evolution.
 
-A step is V dt <= xi L long, V of each section and L = D_c, or less by the slip law (``JointLaw.state_length``).
+A step is V dt <= xi L long, V of each section and L = D_c, or less by the slip law (``JointLaw.state_length``). As slip
+slows down that alone would let each step be twice the last one. Then V falls by the same factor in each, whatever xi: an
+error of first order. So (V dt/L) (ln V/V_old)^2 <= xi^3 as well.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ def creeps(model: Model) -> bool:
 
 
 def slip_of_states(model: Model, old: State, new: State) -> float:
-    """Largest slip of a step over that which ``accuracy.slip_share`` allows, and over that of the tolerance. Collective.
+    """Largest slip of a step, or its error's root, over those of ``accuracy.slip_share``; over the tolerance's. Collective.
 
     accuracy.tolerance  also bounds the error of the slip of each step, over that slip
     """
@@ -36,11 +38,11 @@ def slip_of_states(model: Model, old: State, new: State) -> float:
     groups = zip(joints.laws, old.sections.history, new.sections.history, strict=True)
     for group, before, after in ((g, b, a) for g, b, a in groups if g.law.creeps and len(g.sections)):
         slip = far[group.sections]
-        over = max(over, float((slip / group.law.state_length(after)).max()) / asked.slip_share)
+        rates = (np.maximum(each["sliding_rate"], np.finfo(float).tiny) for each in (before, after))
+        evolved, bend = slip / group.law.state_length(after), np.diff(np.log(list(rates)), axis=0)[0]
+        over = max(over, float(np.maximum(evolved, np.cbrt(evolved * bend**2)).max()) / asked.slip_share)
         if asked.tolerance is None or most == 0.0:
             continue
-        rates = (np.maximum(each["sliding_rate"], np.finfo(float).tiny) for each in (before, after))
-        bend = np.diff(np.log(list(rates)), axis=0)[0]
         counts = np.where(slip > LEAST * most, slip / most, 0.0)
         error = max(error, float((counts * bend**2).max()) / BENDS / asked.tolerance)
     return float(model.operators.layout.comm.allreduce(max(over, np.sqrt(error)), op=MPI.MAX))

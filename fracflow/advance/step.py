@@ -14,6 +14,7 @@ from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.slip_rate import creeps
 from fracflow.advance.wells import (
     TRIES_A_LIMIT,
     most_tries,
@@ -241,7 +242,7 @@ class SingleStep:
         reached = reached_before(loads, state) if loads.limits else frozenset()
         if ops.flow is not None:
             network.update(state)
-        trial: Guess | None = None
+        trial = self._foreseen(rule, state, request)
         failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
         for _ in range(most_tries(loads)):
             limited = solvers.limited(loads, reached)
@@ -278,6 +279,16 @@ class SingleStep:
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         refuse_outlets(request.time, spent, failed)
+
+    def _foreseen(self, rule: StepRule, state: State, request: StepRequest) -> Guess | None:
+        """Motion and pressures to begin from: as the last step moved, where friction has a state; else None.
+
+        Friction grows with the logarithm of the rate. From rest Newton's method needs some iterations for each decade of it.
+        """
+        before = state.previous_step.velocity
+        if before is None or rule.inertia or not creeps(self.solvers.model):
+            return None
+        return before.getArray(readonly=True) * request.length, state.pressure.getArray().copy()
 
     def _checked(
         self, problem: StepProblem, new: State, loads: Loads, stores: bool
@@ -316,7 +327,7 @@ class SingleStep:
         wells = well_step(request, rule, means, state.time, stepper.storage, depth)
         room = room_between(ops, state, new) if ops.flow is not None else np.zeros(0)
         volumes, kept = volumes_after(ops, wells, state, new, room, dt, scheme)
-        if follows:
+        if follows or (dt > 0.0 and not rule.inertia and creeps(model)):
             memory = remember(ops, state, new, dt, {**kept, **means})
         lost = leaked(ops, state, new, dt, scheme, depth) if ops.flow is not None else {}
         pumps = self.solvers.counts_volume

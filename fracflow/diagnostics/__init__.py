@@ -22,7 +22,7 @@ NUMBERS = (
     slip.joint_step, fracture_flow.fluid_inertia, fracture_flow.compressibility, slip.nucleation, fracture_flow.contrast,
     slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
-OF_STATES = (slip.state_zone, slip.state_nucleation)
+OF_STATES = (slip.state_zone, slip.state_nucleation, slip.rate_dependence, slip.state_at_start)
 """Numbers of friction with a state, where a fracture has it."""
 
 

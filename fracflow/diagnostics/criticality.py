@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow.elements import facet, joint
+from fracflow.diagnostics.joints import initial_tractions
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 
@@ -41,7 +40,7 @@ def criticality(scene: Scene, mesh: SplitMesh) -> Criticality:
                 values[here] = sample(getattr(table, key, None), mesh.joint_along[here])
         return values
 
-    shear, normal = _initial_tractions(scene, mesh)
+    shear, normal = initial_tractions(scene, mesh)
     return Criticality(*_near_slip(shear, normal, ends("friction"), np.nan_to_num(ends("cohesion"))))
 
 
@@ -56,24 +55,3 @@ def _near_slip(shear: Floats, normal: Floats, friction: Floats, cohesion: Floats
     rise = np.clip(np.minimum(slips, pressed), 0.0, None)
     is_unknown = np.isnan(friction)
     return np.where(is_unknown, np.nan, tendency), np.where(is_unknown, np.nan, rise)
-
-
-def _initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:
-    """f_s0 and effective f_n0 (j, 2) as given, or else of the initial stress and pressure (2.14) [stress]."""
-    places = mesh.points[mesh.joint_bottom]
-    if not len(places):
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    sigma = initial_stress(scene, places)[..., :2, :2]
-    frame = np.repeat(facet.frame(places)[0], 2, axis=0)
-    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2)).reshape(*places.shape[:2], 2)
-    found = []
-    for key, own in (
-        ("initial_shear_traction", traction[..., 0]),
-        ("initial_normal_traction", traction[..., 1] + initial_pressure(scene, places)),
-    ):
-        given = np.full(own.shape, np.nan)
-        for number, name in enumerate(mesh.fractures):
-            here = mesh.joint_fracture == number
-            given[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
-        found.append(np.where(np.isnan(given), own, given))
-    return found[0], found[1]

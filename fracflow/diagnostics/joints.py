@@ -33,6 +33,7 @@ class CheckJoints:
     distance         (j, 2) slip over which it does: 0 where it falls at once, inf where it does not [length]
     direct, evolution  (j, 2) a sigma and b sigma of friction with a state at the initial normal traction; else 0 [stress]
     state_length     (j, 2) D_c of that friction; else inf [length]
+    state, steady    (j, 2) its theta at the start [time], and V theta/D_c, 1 of steady slip; else NaN
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
     shear_modulus    mu* = G/(1 - nu), likewise [stress]
     layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
@@ -61,6 +62,8 @@ class CheckJoints:
     direct: Floats
     evolution: Floats
     state_length: Floats
+    state: Floats
+    steady: Floats
     modulus: Floats
     shear_modulus: Floats
     layer: Floats
@@ -87,7 +90,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(ends("hydraulic"), ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
-    drop, distance, *states = _of_laws(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
+    drop, distance, *states = _of_laws(scene, mesh, ends, *initial_tractions(scene, mesh))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
@@ -95,7 +98,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         names=mesh.fractures, fracture=mesh.joint_fracture, length=length, normal=ends("normal_stiffness"),
         shear=ends("shear_stiffness"), aperture=aperture, conducting=np.where(np.isnan(given), cubic, given),
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
-        direct=states[0], evolution=states[1], state_length=states[2],
+        direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
         laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
         modulus=2.0 * _in_series(beside["modulus"]), shear_modulus=2.0 * _in_series(beside["shear_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
@@ -106,24 +109,36 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
     )  # fmt: skip
 
 
-def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
-    """|f_n0| (j, 2) at the joint ends, of what is ``given`` or else of the initial stress (2.14) [stress]."""
-    ends = mesh.points[mesh.joint_bottom]
-    if not len(ends):
-        return np.abs(given)
-    sigma = initial_stress(scene, ends)[..., :2, :2]
-    frame = np.repeat(facet.frame(ends)[0], 2, axis=0)
-    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2))[:, -1].reshape(-1, 2)
-    effective = np.where(np.isnan(given), traction + initial_pressure(scene, ends), given)
-    return np.maximum(-effective, 0.0)
+def initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:
+    """f_s0 and effective f_n0 (j, 2) at the joint ends, as given or else of the initial stress and pressure (2.14) [stress]."""
+    places = mesh.points[mesh.joint_bottom]
+    if not len(places):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    sigma = initial_stress(scene, places)[..., :2, :2]
+    frame = np.repeat(facet.frame(places)[0], 2, axis=0)
+    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2)).reshape(*places.shape[:2], 2)
+    found = []
+    for key, own in (
+        ("initial_shear_traction", traction[..., 0]),
+        ("initial_normal_traction", traction[..., 1] + initial_pressure(scene, places)),
+    ):
+        given = np.full(own.shape, np.nan)
+        for number, name in enumerate(mesh.fractures):
+            here = mesh.joint_fracture == number
+            given[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
+        found.append(np.where(np.isnan(given), own, given))
+    return found[0], found[1]
 
 
-def _of_laws(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pressed: Floats) -> tuple[Floats, ...]:
-    """Fall of strength (j, 2) under the pressures ``pressed`` (j, 2), and the slip (j, 2) over which it comes.
+def _of_laws(
+    scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], sheared: Floats, normal: Floats
+) -> tuple[Floats, ...]:
+    """Fall of strength (j, 2) under initial tractions f_s0 and f_n0 (j, 2), and the slip (j, 2) over which it comes.
 
-    Then the direct and the evolution effect, and the slip of evolution, of friction with a state.
+    Then direct and evolution effect, slip of evolution, theta at the start and V theta/D_c of friction with a state.
     """
-    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf))
+    pressed = np.maximum(-normal, 0.0)
+    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf, np.nan, np.nan))
     of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
     for name in sorted(set(of_fracture)):
         here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
@@ -137,8 +152,13 @@ def _of_laws(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], press
         past = law.initial_history(count, 2)
         values = law.strength_drop(pressures), law.slip_length(count), *law.rate_effects(pressures)
         evolves = law.state_length(past) if law.creeps else np.full(count, np.inf)
-        for into, each in zip(found, (*values, evolves), strict=True):
+        for into, each in zip(found, (*values, evolves), strict=False):
             into[here] = each.reshape(-1, 2)
+        if law.creeps:
+            tractions = dict(initial_normal_traction=normal[here].ravel(), initial_shear_traction=sheared[here].ravel())
+            start = make_law(name, **given, **tractions).initial_history(count, 2)
+            found[5][here] = start["state"].reshape(-1, 2)
+            found[6][here] = (start["sliding_rate"] * start["state"] / evolves).reshape(-1, 2)
     return found
 
 

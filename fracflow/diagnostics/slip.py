@@ -22,6 +22,7 @@ UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
 PATCH = 5.0  # joints in L_c
 STATE = 3.0  # joints in L_b
 NUCLEUS = 10.0  # joints in h*
+STEADY = 1e-3  # of |ln(V theta/D_c)|: slip that is steady, to the digits that a check shows
 GROWTH = 0.096
 """Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
 of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
@@ -201,6 +202,31 @@ def state_nucleation(view: CheckInput) -> Number:
         f" above {joints.state_length[joint].max() * limit / length:.3g}{view.unit(LENGTH)}"
     )
     return Number(name, formula, length, limit, True, where, remedy, note)
+
+
+def rate_dependence(view: CheckInput) -> Number:
+    """(a - b) sigma: below 0 friction falls with the rate of steady slip, which may run away on patches longer than h*."""
+    name, formula, joints = "rate dependence", "(a - b) sigma", view.joints
+    each = np.where(joints.evolution + joints.direct > 0.0, joints.evolution - joints.direct, np.nan)
+    value, joint, where = view.worst(each)
+    if value is None:
+        return Number(name, formula, note="no friction with a state")
+    does = "slip may run away where it is longer than h*" if value > 0.0 else "slip is stable"
+    note = f"D_c {joints.state_length[joint].min():.3g}{view.unit(LENGTH)}; {does}"
+    return Number(name, formula, -value, None, False, where, note=note)
+
+
+def state_at_start(view: CheckInput) -> Number:
+    """V theta/D_c at the start, where it is farthest from 1, of steady slip: above it slip speeds up, below it slows down."""
+    name, formula, joints = "state at the start", "V theta/D_c", view.joints
+    with np.errstate(divide="ignore"):
+        away, joint, where = view.worst(np.abs(np.log(joints.steady)))
+    if away is None:
+        return Number(name, formula, note="no friction with a state")
+    end = int(np.nanargmax(np.abs(np.log(joints.steady[joint]))))
+    value, theta = float(joints.steady[joint, end]), float(joints.state[joint, end])
+    does = "steady" if away < STEADY else "slip speeds up from the start" if value > 1.0 else "slip slows down at first"
+    return Number(name, formula, value, None, False, where, note=f"theta {view.scene.time_text(theta, 3)}; {does}")
 
 
 def dissimilar_rock(view: CheckInput) -> Number:

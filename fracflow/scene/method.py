@@ -346,7 +346,8 @@ class Accuracy(Table):
     at most max_halvings times; takes the place of tolerance [1]"""
     slip_share: Fraction = 0.1
     """slip of a step without inertia over characteristic_slip, at most, on fractures of law = "rate-and-state": dt is at most
-    that share of D_c/V; with a tolerance steps are also so short that the error of their slip is below that share of it [1]"""
+    that share of D_c/V; where slip slows down, V dt/D_c (ln V/V_old)^2 is at most its cube; with a tolerance steps are also
+    so short that the error of their slip is below that share of it [1]"""
     max_events: Annotated[int, Field(strict=True, ge=0)] = 20
     """events of joints in a step that parts of it end at; later ones are taken as they fall"""
     max_cycles: Count = 50
