@@ -14,7 +14,7 @@ from fracflow.remarks import note
 from fracflow.solve import COUPLINGS, Coupling, Multigrid
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
 from fracflow.solve.options import is_meant
-from fracflow.solve.rock_cost import memory_at_hand, takes_multigrid
+from fracflow.solve.rock_cost import rock_choice
 
 MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
@@ -29,7 +29,8 @@ class Couplings:
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
         self._damps = operators.damping is not None
-        ranks, self._memory = operators.layout.comm.size, memory_at_hand(operators.layout.comm)
+        self._rock = rock_choice(model.scene.method, operators.layout.comm, self._unknowns)
+        ranks = operators.layout.comm.size
         self._planned = condensing(model.scene, self._unknowns, self._jumps, ranks, self._damps)
         self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
 
@@ -63,10 +64,10 @@ class Couplings:
 
     def _way(self) -> str:
         """Name of the coupling: the scene's, or the one that takes less time."""
-        scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
-        if is_chosen(scene, unknowns, self._planned, self._memory):
+        scene, name = self.model.scene, self.model.scene.method.coupling
+        if is_chosen(scene, self._planned, self._rock):
             return "condensed"
-        if name in ("auto", "monolithic") and takes_multigrid(scene.method.rock_solver, unknowns, memory=self._memory):
+        if name in ("auto", "monolithic") and self._rock.by_multigrid:
             return "multigrid"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"

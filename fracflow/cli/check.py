@@ -23,7 +23,7 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ITERATIONS, break_even, fits
 from fracflow.solve.condensed_cost import planned as solved
-from fracflow.solve.rock_cost import NUMBER, direct, memory_at_hand, multigrid, takes_multigrid, without_solves
+from fracflow.solve.rock_cost import NUMBER, rock_choice, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
@@ -97,8 +97,8 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     explicit = explicit_cost(model)
     steps -= explicit.steps if explicit is not None else 0
     solves = steps > 0 or more
-    takes = takes_multigrid(model.scene.method.rock_solver, unknowns, memory=memory_at_hand(MPI.COMM_SELF))
-    memory = without_solves(unknowns) if not solves else (multigrid if takes else direct)(unknowns).bytes
+    rock = rock_choice(model.scene.method, MPI.COMM_SELF, int(model.operators.layout.solid_starts[-1]))
+    memory = rock.cost.bytes if solves else without_solves(unknowns)
     if model.scene.is_unbounded:
         layout = model.operators.layout
         moving = float(int(layout.solid_starts[-1]) - len(held_walls(model.operators.blocks)))

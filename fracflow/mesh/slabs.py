@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,21 @@ from fracflow.mesh.data import Ints
 from fracflow.storage.sealed import Slabs, slabs_of
 
 Values = NDArray[Any]
+
+
+class ByRows(Protocol):
+    """Values (n, ...) of which some rows are taken: an array, or something that computes them."""
+
+    def __getitem__(self, rows: Any, /) -> Any:
+        """Those of the rows (k,)."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the numbers."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of all."""
 
 
 class Order:
@@ -29,11 +44,11 @@ class Order:
         self._rows = np.argsort(ids, kind="stable")
         self._ids = ids[self._rows]
 
-    def of(self, values: Values) -> Distributed:
+    def of(self, values: ByRows) -> Distributed:
         """The array that has these values (n, ...) on this rank."""
         return Distributed(self, values)
 
-    def collect(self, values: Values, first: int, last: int) -> Values | None:
+    def collect(self, values: ByRows, first: int, last: int) -> Values | None:
         """Rows (last - first, ...) of an array on rank 0, zero where no rank has one; None elsewhere. Collective."""
         rows, places, counts = self._part(first, last)
         if counts is None:
@@ -93,7 +108,7 @@ class Distributed:
     """An array of all ranks: its values (n, ...) on this one, and their order."""
 
     order: Order
-    values: Values
+    values: ByRows
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -65,6 +65,10 @@ class FieldWriter:
         self._grids, self.left_out = self._known()
         self._write_index()
 
+    def forget_mesh(self) -> None:
+        """Let go of ``points`` and ``cells``, once no other file is made of them; their numbers stay."""
+        del self.points, self.cells
+
     def _known(self) -> tuple[dict[int, str], list[str]]:
         """Entries of the index for the steps that are there, and why others are not: no run goes on from fields."""
         found, left_out = {}, []

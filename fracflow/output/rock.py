@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from fracflow.mesh.blocks import Blocks, SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.unmeshed import map_cells
-from fracflow.mesh.slabs import Distributed, Order, on_rank_0
+from fracflow.mesh.slabs import ByRows, Distributed, Order, on_rank_0
 from fracflow.model import stress as rock
 from fracflow.model.state import State
 from fracflow.output.fields import stored
@@ -58,12 +60,13 @@ def rock_slabs(sample: StateSampler, mesh: SplitMesh | None) -> Iterator[Mapping
             return
         yield {name: whole(each) for name, each in stored(*_map_fields(mesh, scene, motion, state)).items()}
         return
-    here = stored(*_rock_fields(blocks.solid, scene, sample.motion_here(), state))
-    with on_rank_0(blocks.comm, _distributed(blocks, here)) as found:
+    with on_rank_0(
+        blocks.comm, _distributed(blocks, _shown(blocks.solid, scene, sample.motion_here(), state))
+    ) as found:
         yield found
 
 
-def _distributed(blocks: Blocks, arrays: Data) -> dict[str, Distributed]:
+def _distributed(blocks: Blocks, arrays: Mapping[str, ByRows]) -> dict[str, Distributed]:
     """Arrays (n, ...) at a rank's own nodes and at its cells, as ``stored`` gives them, with those of the others."""
     block, sizes = blocks.solid, blocks.sizes
     points = Order(blocks.comm, block.node_ids[: block.owned], sizes.nodes)
@@ -79,12 +82,54 @@ def _geometry(blocks: Blocks) -> dict[str, Distributed]:
     return _distributed(blocks, {"point/": points, "cell/": numbers[block.cells].astype(np.int64)})
 
 
-def _rock_fields(block: SolidBlock, scene: Scene, motion: Floats, state: State) -> tuple[Data, Data]:
+@dataclass(frozen=True)
+class _Field:
+    """A field of a rank's rock, computed for the rows that are asked for: all fields of all rows may fill the memory.
+
+    name    as ``stored`` gives it
+    count   of rows
+    motion  (n, 3, 2) of its nodes; ``moves`` as of ``Cells``
+    """
+
+    name: str
+    count: int
+    block: SolidBlock
+    scene: Scene
+    motion: Floats
+    moves: bool
+
+    def __getitem__(self, rows: Ints) -> NDArray[Any]:
+        """Values (k, ...) at own nodes, or at cells (k,)."""
+        place, _, key = self.name.partition("/")
+        if place == "point":
+            moved = self.motion[rows]
+            nodes = SimpleNamespace(displacement=moved[:, 0], velocity=moved[:, 1], acceleration=moved[:, 2])
+            return stored({key: quantities("node")[key].formula(nodes)}, None)[self.name]
+        block = self.block
+        cells = Cells(self.scene, block, rows, block.points, block.cells[rows], self.motion, self.moves)
+        return stored(None, {key: _of_cells(key, cells, block.cell_rock[rows])})[self.name]
+
+    @cached_property
+    def _none(self) -> NDArray[Any]:
+        return self[np.zeros(0, dtype=np.int64)]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the numbers."""
+        return self._none.dtype
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of all rows."""
+        return self.count, *self._none.shape[1:]
+
+
+def _shown(block: SolidBlock, scene: Scene, motion: Floats, state: State) -> dict[str, _Field]:
     """Point data of a rank's own nodes and data of its cells, from the motion (n, 3, 2) of its nodes."""
-    moves, own = state.energy["kinetic"] != 0.0, motion[: block.owned]
-    nodes = SimpleNamespace(displacement=own[:, 0], velocity=own[:, 1], acceleration=own[:, 2])
-    cells = Cells(scene, block, np.arange(len(block.cells)), block.points, block.cells, motion, moves)
-    return _formulas(nodes, cells, block.cell_rock)
+    about = block, scene, motion, state.energy["kinetic"] != 0.0
+    points, cells = _names()
+    found = {f"point/{key}": _Field(f"point/{key}", block.owned, *about) for key in points}
+    return found | {f"cell/{key}": _Field(f"cell/{key}", len(block.cells), *about) for key in cells}
 
 
 def _map_fields(mesh: SplitMesh, scene: Scene, motion: Floats, state: State) -> tuple[Data, Data]:
@@ -97,10 +142,23 @@ def _map_fields(mesh: SplitMesh, scene: Scene, motion: Floats, state: State) -> 
 
 
 def _formulas(nodes: Any, cells: Any, rocks: Ints) -> tuple[Data, Data]:
-    point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
-    cell: Data = {"rock": rocks}
-    for row in quantities("cell").values():
-        if row.field:
-            values = row.formula(cells)
-            cell[row.name] = rock.tensors(values) if row.kind == "tensor" else values
-    return point, cell
+    point, cell = _names()
+    return (
+        {key: quantities("node")[key].formula(nodes) for key in point},
+        {key: _of_cells(key, cells, rocks) for key in cell},
+    )
+
+
+def _names() -> tuple[list[str], list[str]]:
+    """Names of the fields of points, and of cells."""
+    point, cell = ([key for key, row in quantities(home).items() if row.field] for home in ("node", "cell"))
+    return point, ["rock", *cell]
+
+
+def _of_cells(key: str, cells: Any, rocks: Ints) -> NDArray[Any]:
+    """A field of cells that are of ``rocks`` (m,)."""
+    if key == "rock":
+        return rocks
+    row = quantities("cell")[key]
+    values: Floats = row.formula(cells)
+    return rock.tensors(values) if row.kind == "tensor" else values

@@ -18,7 +18,7 @@ from fracflow.reduction.locked_fractures import EARLIER, PART
 from fracflow.reduction.locked_mesh import find_locked, tied
 from fracflow.reduction.unloaded_blocks import without_idle
 from fracflow.solve.period import longest_period
-from fracflow.solve.rock_cost import memory_at_hand
+from fracflow.solve.rock_cost import rock_choice
 
 LARGEST = PETSc.NormType.INFINITY
 
@@ -52,7 +52,7 @@ def reduction_input(model: Model) -> ReductionInput:
         jumps=ops.layout.comm.allreduce(len(ops.joints.weights), op=MPI.SUM) * ops.joints.dim,
         ranks=ops.layout.comm.size,
         damps=ops.damping is not None,
-        memory=memory_at_hand(ops.layout.comm),
+        rock=rock_choice(scene.method, ops.layout.comm, int(ops.layout.solid_starts[-1])),
     )
     if not facts.leaves_out or not asks_period(scene):
         return facts

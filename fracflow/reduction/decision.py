@@ -9,6 +9,7 @@ from math import inf
 from fracflow.diagnostics.number import Number
 from fracflow.model.setup import FarSides
 from fracflow.scene.scene import Scene
+from fracflow.solve.rock_cost import RockChoice
 
 TOLERANCE = 1e-2  # where a scene states none
 
@@ -81,7 +82,7 @@ class ReductionInput:
     unknowns    of displacement, and ``pressures`` of pressure, on all ranks
     jumps       components of the jumps of all joint sections
     damps       terms have a C
-    memory      at hand on all ranks [bytes]
+    rock        how it is solved for
     card        numbers of the pre-run checks by their names; on rank 0 only
     locked      fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
@@ -97,7 +98,7 @@ class ReductionInput:
     jumps: int = 0
     ranks: int = 1
     damps: bool = False
-    memory: float = inf
+    rock: RockChoice = field(default_factory=RockChoice)
     card: Mapping[str, Number] = field(default_factory=dict)
     locked: LockedFractures = LockedFractures()
     parts: UnloadedBlocks = UnloadedBlocks()

@@ -19,7 +19,7 @@ def condensed_rock(facts: ReductionInput) -> Iterator[Decision]:
     if not facts.jumps or not _solves(scene):
         return
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
-    chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan, facts.memory)
+    chosen = scene.method.coupling == "condensed" or is_chosen(scene, plan, facts.rock)
     steps = inf if plan.has_events else max(plan.steps.values(), default=0.0)
     length = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
     saves = "a factorisation in every step"

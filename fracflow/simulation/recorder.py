@@ -350,6 +350,7 @@ class Files:
         lines = np.arange(len(ends)).reshape(-1, 2)
         self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
         self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
+        self.rock.forget_mesh()
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def _warn(self, lines: list[str]) -> None:

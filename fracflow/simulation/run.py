@@ -40,7 +40,7 @@ from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import set_defaults
-from fracflow.solve.rock_cost import as_line, memory_at_hand, takes_multigrid
+from fracflow.solve.rock_cost import rock_choice
 from fracflow.storage.sealed import AGAIN
 
 OnStep = Callable[[Step], None]
@@ -216,12 +216,11 @@ def of_stage(stage: Stage, error: SolveError, scene: Scene | None = None) -> Sol
 def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
-    unknowns = int(model.operators.layout.solid_starts[-1])
-    rock_solver, comm = model.scene.method.rock_solver, model.operators.layout.comm
-    memory = memory_at_hand(comm)
-    set_defaults(model.scene.petsc, unknowns, comm.size, rock_solver, memory)
-    if takes_multigrid(rock_solver, unknowns, memory=memory):
-        recorder.log(note(f"{as_line(unknowns, memory)}: multigrid in the place of a factorisation of the rock"))
+    layout = model.operators.layout
+    rock = rock_choice(model.scene.method, layout.comm, int(layout.solid_starts[-1]))
+    set_defaults(model.scene.petsc, rock, layout.comm.size)
+    if rock.by_multigrid:
+        recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))
     stepping = Stepping(model, recorder.log)
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)

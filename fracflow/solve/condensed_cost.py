@@ -16,7 +16,7 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.checks import against_condensing
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import is_meant
-from fracflow.solve.rock_cost import factor_numbers, takes_multigrid
+from fracflow.solve.rock_cost import RockChoice, factor_numbers
 
 REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
 BESIDES = 0.3  # cost of an iteration on all unknowns beside LU: matrix, solve, balances
@@ -121,14 +121,10 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
     return Condensing(steps, pays, any(stage.kind == "auto" for stage in scene.stage))
 
 
-def is_chosen(scene: Scene, unknowns: int, plan: Condensing, memory: float = math.inf) -> bool:
-    """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays.
-
-    memory  at hand [bytes]
-    """
+def is_chosen(scene: Scene, plan: Condensing, rock: RockChoice) -> bool:
+    """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
     allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
-    is_multigrid = takes_multigrid(scene.method.rock_solver, unknowns, memory=memory)
-    suits = allowed and SMALLEST <= unknowns and not is_multigrid and not any(against_condensing(scene))
+    suits = allowed and SMALLEST <= rock.unknowns and not rock.by_multigrid and not any(against_condensing(scene))
     return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
 

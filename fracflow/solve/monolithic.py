@@ -15,7 +15,7 @@ from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import solves_both
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.rock_cost import direct, memory_at_hand
+from fracflow.solve.rock_cost import direct, rock_choice
 
 FAR = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
 
@@ -129,8 +129,9 @@ class Multigrid(Auto):
 
     def _second(self, failure: NotConverged) -> Newton:
         layout = self.matrix.layout
-        needed, there = direct(layout.total).bytes, memory_at_hand(layout.comm)
-        if needed > there:
+        rock = rock_choice(self.scene.method, layout.comm, int(layout.solid_starts[-1]))
+        if rock.lacks_room:
+            needed, there = direct(rock.unknowns).bytes, rock.memory
             raise Unsolved(
                 f"{failure}; LU of the whole, which would be tried next, needs about {needed / 1e9:.3g} GB, and"
                 f" {there / 1e9:.3g} GB are at hand: take more machines, a smaller time_step, or a coarser mesh"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from fracflow._petsc import PETSc
 from fracflow.errors import InputError
-from fracflow.solve.rock_cost import takes_multigrid
+from fracflow.solve.rock_cost import RockChoice
 
 Value = str | float | int | bool
 
@@ -128,24 +127,25 @@ def is_meant(prefix: str) -> bool:
     return any(name.startswith(f"{prefix}_") for name in _given)
 
 
-def set_defaults(
-    given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto", memory: float = math.inf
-) -> None:
+BY_FACTORS, BY_MULTIGRID = RockChoice(), RockChoice(by_multigrid=True)
+"""Choices that no cost has led to."""
+
+
+def set_defaults(given: Mapping[str, Value], rock: RockChoice = BY_FACTORS, ranks: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``rock_solver``, ``unknowns`` of displacement and ``memory`` at hand [bytes] decide between factorisation and multigrid, and
-    ``ranks`` between factorisations. Options of an earlier call, for this scene or another of this process, are removed.
+    ``rock`` decides between factorisation and multigrid, and ``ranks`` between factorisations. Options of an earlier call, for
+    this scene or another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
     _given.clear()
     _given.update(given, database.getAll())
-    is_multigrid = takes_multigrid(rock_solver, unknowns, memory=memory)
     tables = [
         OPTIONS,
-        *([MULTIGRID] if is_multigrid else []),
-        *([_SMALL_PARTS] if is_multigrid and ranks == 1 and PETSc.Sys.hasExternalPackage("suitesparse") else []),
-        *([_swift()] if is_swift(unknowns, ranks) else []),
+        *([MULTIGRID] if rock.by_multigrid else []),
+        *([_SMALL_PARTS] if rock.by_multigrid and ranks == 1 and PETSc.Sys.hasExternalPackage("suitesparse") else []),
+        *([_swift()] if is_swift(rock.unknowns, ranks) else []),
     ]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}
     for key, value in {**merged, **given}.items():

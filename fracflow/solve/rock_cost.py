@@ -16,6 +16,7 @@ from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.scene.method import Method
 from fracflow.storage.files import read_text
 
 NUMBER = 8.0  # bytes
@@ -93,25 +94,54 @@ def multigrid(unknowns: int, dim: int = 2, krylov: float | None = None) -> Cost:
     return Cost(seconds, without_solves(unknowns) + NUMBER * shares.holds * unknowns)
 
 
-def takes_multigrid(rock_solver: str, unknowns: int, dim: int = 2, memory: float = math.inf) -> bool:
-    """Whether so many displacements are solved for by multigrid: as the scene says, or by the cost.
+@dataclass(frozen=True)
+class RockChoice:
+    """How the rock of a run is solved for: by multigrid in the place of a factorisation, or not, and why.
 
-    ``auto`` takes multigrid where it is expected to take clearly less time: LU needs no estimate of its iterations. It does
-    so too where the factors of LU do not fit into the ``memory`` at hand [bytes].
+    unknowns  displacements on all ranks
+    memory    at hand [bytes]
+    why       in words
     """
-    if rock_solver != "auto":
-        return rock_solver == "multigrid"
-    by_factors = direct(unknowns, dim)
-    return by_factors.seconds > CLEARLY * multigrid(unknowns, dim).seconds or by_factors.bytes > memory
+
+    by_multigrid: bool = False
+    unknowns: int = 0
+    memory: float = math.inf
+    why: str = "no cost was asked for"
+
+    @property
+    def cost(self) -> Cost:
+        """By the solver that is taken, in the plane."""
+        return (multigrid if self.by_multigrid else direct)(self.unknowns)
+
+    @property
+    def lacks_room(self) -> bool:
+        """Whether the factors of LU do not fit into the memory at hand."""
+        return direct(self.unknowns).bytes > self.memory
+
+    @classmethod
+    def of(cls, method: Method, unknowns: int, memory: float = math.inf, dim: int = 2) -> RockChoice:
+        """As the scene says, or by the cost.
+
+        ``auto`` takes multigrid where it is expected to take clearly less time: LU needs no estimate of its iterations. It
+        does so too where the factors of LU do not fit into the ``memory`` at hand [bytes].
+        """
+        if method.rock_solver != "auto":
+            is_asked = method.rock_solver == "multigrid"
+            return cls(is_asked, unknowns, memory, f'method.rock_solver = "{method.rock_solver}"')
+        if method.coupling == "whole-lu":
+            return cls(False, unknowns, memory, 'method.coupling = "whole-lu"')
+        if not unknowns:
+            return cls(memory=memory, why="no displacements")
+        by_factors, by_grids = direct(unknowns, dim), multigrid(unknowns, dim)
+        time, held = by_grids.seconds / by_factors.seconds, by_grids.bytes / by_factors.bytes
+        expected = f"{unknowns} displacements, {time:.2g} times the time and {held:.2g} times the memory of LU expected"
+        takes = by_factors.seconds > CLEARLY * by_grids.seconds or by_factors.bytes > memory
+        return cls(takes, unknowns, memory, f"{expected}, {memory / 1e9:.3g} GB at hand")
 
 
-def as_line(unknowns: int, memory: float) -> str:
-    """Numbers that speak for multigrid."""
-    by_factors, by_grids = direct(unknowns), multigrid(unknowns)
-    times = (
-        f"{by_grids.seconds / by_factors.seconds:.2g} times the time and {by_grids.bytes / by_factors.bytes:.2g} times"
-    )
-    return f"{unknowns} displacements, {times} the memory of LU expected, {memory / 1e9:.3g} GB at hand"
+def rock_choice(method: Method, comm: MPI.Comm, unknowns: int) -> RockChoice:
+    """The choice for so many displacements on these ranks, by the memory that they have. Collective."""
+    return RockChoice.of(method, unknowns, memory_at_hand(comm))
 
 
 def memory_at_hand(comm: MPI.Comm) -> float:

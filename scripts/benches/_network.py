@@ -1,4 +1,4 @@
-"""A square kilometre of granite with a network of 20 fractures that cross and branch, meshed by Gmsh: CELLS FILE."""
+"""A square kilometre of granite with fractures that cross and branch, meshed by Gmsh: CELLS FILE [FRACTURES SEED]."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ EXTENT = 1024.0  # [m]
 SHAPE = 0.37  # area of a mean triangle over the square of the mesh size, as Gmsh makes large meshes
 
 SCENE = """\
-title = "Network of 20 fractures, {cells} triangles asked for"
+title = "Network of fractures, {cells} triangles asked for"
 rock.rock = {{youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}}
 initial_stress = {{xx = "-20 MPa", yy = "-25 MPa", zz = "-18 MPa"}}
 fluid = {{viscosity = "1e-3 Pa s", specific_weight = "9.81 kN/m^3", initial_pressure = "5 MPa", flow_depth = "100 m"}}
@@ -31,27 +31,38 @@ friction_coefficient = 0.7
 """
 
 
-def traces() -> dict[str, np.ndarray]:
-    """Ends (2, 2) of 5 fractures down and 4 across, which cross, and of 11 branches, each from a point of one of them."""
-    down = {f"down{i}": [[140 + 180 * i, 100], [170 + 180 * i, 930]] for i in range(5)}
-    across = {f"across{i}": [[70, 190 + 210 * i], [950, 165 + 210 * i]] for i in range(4)}
+def traces(fractures: int = 20, seed: int = 0) -> dict[str, np.ndarray]:
+    """Ends (2, 2) of fractures down and across, which cross, and of branches, each from a point of one of them.
+
+    Of 20 there are 5, 4 and 11. Seed 0 has them at equal distances, others move their ends by up to a seventh of these.
+    """
+    downs, acrosses = round((1.25 * fractures) ** 0.5), round((0.8 * fractures) ** 0.5)
+    beside, above = 900.0 / downs, 840.0 / acrosses
+    down = {f"down{i}": [[50 + beside * (i + 0.5), 100], [80 + beside * (i + 0.5), 930]] for i in range(downs)}
+    across = {f"across{i}": [[70, 85 + above * (i + 0.5)], [950, 60 + above * (i + 0.5)]] for i in range(acrosses)}
     found = {name: np.array(ends, dtype=float) for name, ends in (down | across).items()}
-    places = [(f"down{i % 5}", 0.22 + 0.25 * (i % 3)) for i in range(6)]
-    places += [(f"across{i % 4}", 0.2 + 0.2 * (i % 4)) for i in range(5)]
+    branches, random = fractures - len(found), np.random.default_rng(seed)
+    half = (branches + 1) // 2
+    places = [(f"down{i % downs}", 0.22 + 0.25 * (i % 3)) for i in range(half)]
+    places += [(f"across{i % acrosses}", 0.2 + 0.2 * (i % 4)) for i in range(branches - half)]
+    if seed:
+        for name, ends in found.items():
+            ends[:, 0 if name in down else 1] += random.uniform(-1.0, 1.0, 2) * (beside if name in down else above) / 7
+        places = [(name, random.uniform(0.15, 0.85)) for name, _ in places]
     for i, (name, along) in enumerate(places):
         start = (1 - along) * found[name][0] + along * found[name][1]
         turn = 0.6 + 0.35 * i
-        found[f"branch{i}"] = np.array([start, start + 65 * np.array([np.cos(turn), np.sin(turn)])])
+        found[f"branch{i}"] = np.array([start, start + 65 / 180 * beside * np.array([np.cos(turn), np.sin(turn)])])
     return found
 
 
-def make(cells: int, path: Path) -> None:
+def make(cells: int, path: Path, fractures: int = 20, seed: int = 0) -> None:
     """Mesh the network with about so many triangles and write .msh 4.1, binary."""
     import gmsh
 
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
-    occ, network = gmsh.model.occ, traces()
+    occ, network = gmsh.model.occ, traces(fractures, seed)
     square = occ.addRectangle(0, 0, 0, EXTENT, EXTENT)
     lines = [occ.addLine(*(occ.addPoint(float(x), float(y), 0) for x, y in ends)) for ends in network.values()]
     _, became = occ.fragment([(2, square)], [(1, line) for line in lines])
@@ -79,4 +90,4 @@ def make(cells: int, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(int(sys.argv[1]), Path(sys.argv[2]))
+    make(int(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:5]))

@@ -87,7 +87,8 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     kinds = {"steady": Steady(), "quasi-static": BackwardEuler(), "dynamic": STEPPERS["newmark"]()}
     sharp = {"monolithic_ksp_rtol": 1e-9}  # with either
     defaults.set_defaults(
-        {**model.scene.petsc, **sharp}, rock_solver="multigrid" if blocks == "multigrid" else "direct"
+        {**model.scene.petsc, **sharp},
+        defaults.BY_MULTIGRID if blocks == "multigrid" else defaults.BY_FACTORS,
     )
     solver = Monolithic(model.scene, model.operators, model.loads)
     solves = watch(solver.newton)

@@ -76,12 +76,13 @@ def in_space(unknowns: int, folder: Path) -> dict[str, Any]:
 
 def judged(row: dict[str, Any]) -> dict[str, Any]:
     """A row with what the model says, and the bars that it misses."""
+    from fracflow.scene.method import Method
     from fracflow.solve import rock_cost as model
 
     n, dim = row["unknowns"], row["dim"]
     shares = {"lu": model.direct(n, dim), "multigrid": model.multigrid(n, dim, row["krylov"])}
     said, ratio = shares["multigrid"].seconds / shares["lu"].seconds, row["multigrid_s"] / row["lu_s"]
-    taken = "multigrid" if model.takes_multigrid("auto", n, dim) else "lu"
+    taken = "multigrid" if model.RockChoice.of(Method(), n, dim=dim).by_multigrid else "lu"
     other = {"multigrid": "lu", "lu": "multigrid"}[taken]
     row |= {"ratio": ratio, "ratio_said": said, "krylov_said": model.iterations(n, dim), "auto": taken, "missed": []}
     for way, cost in shares.items():

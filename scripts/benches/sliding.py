@@ -1,10 +1,11 @@
-"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--unknowns N...] [--rows N...] [--out DIR].
+"""Multigrid where joints slide: sliding.py [CELLS...] [--steps N] [--fractures N] [--seed N] [--unknowns N...] [--out DIR].
 
-A network of 20 fractures (that of scripts/bench size), stressed so that hundreds of sections slide and some open as it is
-pumped, with so many triangles each, by LU of the whole and by multigrid: Newton and Krylov iterations, and the CPU seconds and
-memory of a run in a process of its own. Then one coupled step of 1 to 200 closed fractures, in rows of stiffnesses, apertures,
-their contrast and time steps: Krylov iterations of the worst linear solve. Exit code 1 where a bar is missed: at most 30 Krylov
-iterations a Newton iteration, sections that slide as by LU, and no step halved that LU does not halve.
+A network of 20 fractures (that of scripts/bench size; --fractures and --seed make others), stressed so that hundreds of
+sections slide and some open as it is pumped, with so many triangles each, by LU of the whole and by multigrid: Newton and
+Krylov iterations, and the CPU seconds and memory of a run in a process of its own. Then one coupled step of 1 to 200 closed
+fractures, in rows of stiffnesses, apertures, their contrast and time steps: Krylov iterations of the worst linear solve. Exit
+code 1 where a bar is missed: at most 30 Krylov iterations a Newton iteration, sections that slide as by LU, and no step halved
+that LU does not halve.
 """
 
 from __future__ import annotations
@@ -34,14 +35,16 @@ WAYS = {
 """Ways to solve -> settings of the scene. The staggered cycle needs many more iterations, and has no bar on them."""
 MOST = 30.0
 """Krylov iterations in a Newton iteration, the mean of a step; in one step with nothing but elastic joints, of a solve."""
-COUNTS = ("newton", "krylov", "slipping", "open", "factorisations")
+COUNTS = ("newton", "krylov", "slipping", "open", "factorisations", "rejected")
 
 
-def network_scene(cells: int, steps: int, folder: Path) -> Path:
+def network_scene(cells: int, steps: int, folder: Path, fractures: int = 20, seed: int = 0) -> Path:
     """Write mesh and scene of the sliding network."""
-    mesh, path = folder / f"network-{cells}.msh", folder / f"slide-{cells}.toml"
+    name = f"{cells}-{fractures}-{seed}"
+    mesh, path = folder / f"network-{name}.msh", folder / f"slide-{name}.toml"
     if not mesh.exists():
-        subprocess.run([sys.executable, network.__file__, str(cells), str(mesh)], check=True)
+        words = [sys.executable, network.__file__, *map(str, (cells, mesh, fractures, seed))]
+        subprocess.run(words, check=True)
     text = network.SCENE.format(cells=cells, mesh=mesh.name)
     for old, new in (
         ('xx = "-20 MPa", yy = "-25 MPa"', 'xx = "-25 MPa", yy = "-25 MPa", xy = "8 MPa"'),
@@ -83,9 +86,9 @@ def worker(way: str, scene: str, out: str, result: str) -> None:
     Path(result).write_text(json.dumps(facts), encoding="utf-8")
 
 
-def run_network(cells: int, steps: int, ways: tuple[str, ...], folder: Path, patience: float) -> list[dict[str, Any]]:
+def run_network(scene: Path, cells: int, ways: tuple[str, ...], folder: Path, patience: float) -> list[dict[str, Any]]:
     """Run the network in several ways, each in a process of its own."""
-    scene, found = network_scene(cells, steps, folder), []
+    found = []
     for way in ways:
         result = folder / f"{way}.json"
         result.unlink(missing_ok=True)
@@ -205,7 +208,7 @@ def one_step(row: Row, ways: tuple[str, ...]) -> list[dict[str, Any]]:
     film, rule = apertures_of(ops, row), StepRule(BackwardEuler().alphas(row.time_step))
     flow = replace(ops.flow, aperture=film, law=replace(ops.flow.law, aperture=film))
     for way in ways:
-        options.set_defaults(model.scene.petsc, rock_solver="multigrid" if way == "multigrid" else "direct")
+        options.set_defaults(model.scene.petsc, options.BY_MULTIGRID if way == "multigrid" else options.BY_FACTORS)
         solver = (WholeLU if way == "lu" else Monolithic)(model.scene, ops, model.loads)
         solves = coupling.watch(solver.newton)
         problem = StepProblem(
@@ -246,6 +249,10 @@ def missed(networks: list[dict[str, Any]], steps: list[dict[str, Any]]) -> list[
             words.append(
                 f"{row['cells']} triangles, {row['way']}: {row['slipping']} sections slide, by LU {other['slipping']}"
             )
+        if other is not None and sum(row["rejected"]) > sum(other["rejected"]) and row["way"] == "multigrid":
+            words.append(
+                f"{row['cells']} triangles: {sum(row['rejected'])} steps halved, by LU {sum(other['rejected'])}"
+            )
     words += [f"{row}: more than {MOST:g} iterations" for row in steps if row["krylov"] > MOST]
     return words
 
@@ -257,6 +264,8 @@ def main() -> int:
         "cells", nargs="*", type=int, default=[20_000], help="triangles of the network; 0 leaves it out"
     )
     parser.add_argument("--steps", type=int, default=5)
+    parser.add_argument("--fractures", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0, help="0 has fractures at equal distances")
     parser.add_argument("--ways", nargs="*", choices=WAYS, default=["lu", "multigrid"])
     parser.add_argument("--unknowns", nargs="*", type=int, default=[10_000, 40_000], help="of the rows")
     parser.add_argument("--rows", nargs="*", type=int, help="numbers of rows, 0 the first; all if left out")
@@ -267,7 +276,11 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     facts: dict[str, Any] = {"command": shlex.join(["scripts/bench", "sliding", *sys.argv[1:]]), **machine()}
     facts["network"] = [
-        row for cells in given.cells if cells for row in run_network(cells, given.steps, ways, folder, given.patience)
+        row
+        for cells in given.cells
+        if cells
+        for scene in [network_scene(cells, given.steps, folder, given.fractures, given.seed)]
+        for row in run_network(scene, cells, ways, folder, given.patience)
     ]
     rows = [row for n in given.unknowns for i, row in enumerate(rows_of(n)) if given.rows is None or i in given.rows]
     facts["step"] = [found for row in rows for found in one_step(row, tuple(w for w in ways if w != "staggered"))]

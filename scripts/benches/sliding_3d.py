@@ -38,7 +38,7 @@ from fracflow.model.joints import jump_matrix, section_groups
 from fracflow.model.layout import add_blocks, create_matrix, layout_of
 from fracflow.model.solid import nodal_layout, node_unknowns, stiffness_of
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
-from fracflow.solve.options import set_defaults
+from fracflow.solve.options import BY_FACTORS, BY_MULTIGRID, set_defaults
 
 SIZE, MODULUS, RATIO, PRESSURE = 10.0, 5e10, 0.25, 1e6
 FRICTION, SLIP = 0.6, (0.8, 0.6)  # which way the planes slide: along strike, up the dip
@@ -148,7 +148,7 @@ def write(folder: Path, matrix: PETSc.Mat, right: PETSc.Vec, places: PETSc.Vec) 
 def solve(system: System, rock_solver: str) -> tuple[PETSc.Vec, dict[str, Any]]:
     """Solve, to 1e-9, as the program solves the displacements of a dry scene. Collective."""
     blocks, matrix, right, held, _ = system
-    set_defaults({}, rock_solver=rock_solver)
+    set_defaults({}, BY_MULTIGRID if rock_solver == "multigrid" else BY_FACTORS)
     solver = PETSc.KSP().create(comm=matrix.getComm())
     solver.setOptionsPrefix("solid_")
     solver.setFromOptions()

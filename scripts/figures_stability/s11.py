@@ -100,7 +100,7 @@ def krylov(case: Case) -> tuple[int, int]:
     """Iterations to the program's own tolerance, ``MOST`` where these do not suffice; and those predicted."""
     matrix, state, model = system(case.unknowns)
     request, rule = StepRequest(case.dt, case.dt, {}, model.loads), StepRule(BackwardEuler().alphas(case.dt))
-    options.set_defaults(WAYS[case.way], rock_solver="multigrid")
+    options.set_defaults(WAYS[case.way], options.BY_MULTIGRID)
     problem = StepProblem(model.operators, state, request, rule)
     problem.evaluate()
     chosen = moduli(model.operators.blocks, case.ratio, case.share)

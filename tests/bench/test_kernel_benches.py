@@ -22,7 +22,7 @@ def test_one_step_with_soft_joints_by_all_ways():
 @pytest.mark.starts_ranks
 def test_sliding_network(tmp_path):
     """Hundreds of sections slide; multigrid takes the steps and statuses of LU, in few iterations."""
-    found = sliding.run_network(1200, 3, BOTH, tmp_path, patience=200.0)
+    found = sliding.run_network(sliding.network_scene(1200, 3, tmp_path), 1200, BOTH, tmp_path, patience=200.0)
     assert not sliding.missed(found, []) and all(row["reached"] == 1.0 for row in found)
     direct, multigrid = found
     assert max(multigrid["slipping"]) > 50 and len(multigrid["krylov"]) == 4

@@ -21,6 +21,7 @@ from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.options import set_defaults
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.rock_cost import RockChoice
 
 LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"
@@ -147,7 +148,7 @@ def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most
         found, model = [], prepare(scenes[0], comm)  # one partition for both
         dt = rho_of_film(1.0, np.pi / LENGTH) / factor
         for scene in scenes:
-            set_defaults(scene.petsc, rock_solver=scene.method.rock_solver)
+            set_defaults(scene.petsc, RockChoice.of(scene.method, 0))
             stepping, state = Stepping(replace(model, scene=scene)), equilibrium_state(model)
             new, report = stepping.step(state, StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler())
             found.append((new.pressure.getArray().copy(), new.motion.displacement.getArray().copy(), report))

@@ -11,6 +11,7 @@ from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
+from fracflow.scene.method import Method
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve import options as defaults
@@ -113,11 +114,14 @@ def test_scene_or_cost_decides():
         (0, "multigrid", {}, much, "shell"),
         (0, "auto", {}, much, "fieldsplit"),
     ]:
-        defaults.set_defaults(given, unknowns, rock_solver=solver, memory=memory)
+        rock = rock_cost.RockChoice.of(Method(rock_solver=solver), unknowns, memory)
+        defaults.set_defaults(given, rock)
         assert options[key] == chosen
     assert list(defaults.MULTIGRID) == ["monolithic", "solid"]
-    assert [rock_cost.takes_multigrid("auto", n, 3) for n in (10_000, 100_000)] == [False, True]
-    assert rock_cost.takes_multigrid("direct", 10**9) is False
+    choices = [rock_cost.RockChoice.of(Method(), n, dim=3) for n in (10_000, 100_000)]
+    assert [choice.by_multigrid for choice in choices] == [False, True]
+    whole = rock_cost.RockChoice.of(Method(coupling="whole-lu"), 10**9)
+    assert not whole.by_multigrid and "whole-lu" in whole.why
 
 
 def test_memory_at_hand_is_that_of_the_machine_its_group_and_its_shell(comm):
@@ -155,7 +159,7 @@ def test_a_step_that_multigrid_does_not_solve_is_solved_by_a_factorisation(tmp_p
 @pytest.mark.serial
 def test_a_factorisation_without_room_is_not_begun(tmp_path, monkeypatch):
     """The failure says what was tried, what would come next, and why it did not; and calls no matrix singular."""
-    monkeypatch.setattr("fracflow.solve.monolithic.memory_at_hand", lambda comm: 1e6)
+    monkeypatch.setattr("fracflow.solve.rock_cost.memory_at_hand", lambda comm: 1e6)
     few = ["petsc.monolithic_ksp_max_it=1", "petsc.monolithic_intact_pc_type=none", "method.rock_solver=multigrid"]
     with pytest.raises(SolveError) as caught:
         run(load("meshes/crossings/scene.toml", ["output.pictures=false", *few]), tmp_path)
