@@ -14,7 +14,7 @@ from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.properties import along_fractures, initial_stress
-from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness
+from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness, summed_at_nodes
 from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene
 
@@ -72,6 +72,14 @@ class Operators:
         result = self.expand.createVecLeft()
         self.expand.mult(unknowns, result)
         return result
+
+    def at_nodes(self, unknowns: PETSc.Vec) -> Floats:
+        """The same (n, dim) at all nodes of this rank, its ghosts too. Collective."""
+        solids, dim = self.blocks.solid, self.blocks.sizes.dim
+        nodal = self.nodal(unknowns)
+        local = nodal.getArray(readonly=True).reshape(-1, dim)[: solids.owned].copy()
+        nodal.destroy()
+        return summed_at_nodes(self.blocks, np.arange(solids.owned), local)
 
     def gathered(self, unknowns: PETSc.Vec) -> Floats | None:
         """The same of all nodes (n, dim), on rank 0. Collective."""

@@ -20,7 +20,7 @@ from fracflow.model.contact_mass import redistributes
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
-from fracflow.model.stress import deforms, per_cell, properties, strain, stress_change, tensors
+from fracflow.model.stress import deforms, elastic_moduli, per_cell, strain, stress_change, tensors
 from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
@@ -178,8 +178,7 @@ def watch_locked(model: Model, state: State) -> None:
     if whole is None:
         return
     blocks, joints = whole.operators.blocks, whole.operators.joints
-    motion = model.operators.gathered(state.motion.displacement)
-    added = blocks.comm.bcast(None if motion is None else _added(model, motion))  # (f, side, dim)
+    added = _added(model, state)  # (f, side, dim)
     names = blocks.joints.fractures
     found = np.zeros(len(names))
     for side in (0, 1):
@@ -191,17 +190,35 @@ def watch_locked(model: Model, state: State) -> None:
         raise ReductionInvalid(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
 
 
-def _added(model: Model, motion: Floats) -> Floats:
-    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. On rank 0.
+def _added(model: Model, state: State) -> Floats:
+    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. Collective."""
+    comm = model.operators.blocks.comm
+    mesh = model.whole.mesh if model.whole is not None else None
+    out = None if mesh is None else np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
+    gained = _gained(model, state, comm.bcast(None if mesh is None else mesh.joint_cells[out].ravel()))
+    return np.asarray(comm.bcast(None if mesh is None or out is None else _tractions(model, mesh, out, gained)))
+
+
+def _gained(model: Model, state: State, cells: Ints) -> Floats:
+    """Increase of stresses (n, 4) of cells (n,), each of which one rank has; on rank 0, else zero. Collective."""
+    block, comm = model.operators.blocks.solid, model.operators.blocks.comm
+    moved = model.operators.at_nodes(state.motion.displacement)
+    own = np.flatnonzero(np.isin(cells, block.cell_ids))
+    here = np.searchsorted(block.cell_ids, cells[own])
+    found, total = np.zeros((len(cells), 4)), np.zeros((len(cells), 4))
+    found[own] = stress_change(
+        strain(block.points, block.cells[here], moved), *elastic_moduli(block, model.scene, here)
+    )
+    comm.Reduce(found, total, root=0)
+    return total
+
+
+def _tractions(model: Model, mesh: SplitMesh, out: Ints, stresses: Floats) -> Floats:
+    """Tractions (f, side, dim) of stresses (2 n, 4) on both sides of the joints ``out`` (n,); on rank 0.
 
     A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
     """
-    assert model.whole is not None and model.whole.mesh is not None and model.mesh is not None
-    mesh, scene = model.whole.mesh, model.scene
-    out = np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
-    cells = mesh.joint_cells[out].ravel()
-    moduli = (properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
-    gained = tensors(stress_change(strain(model.mesh.points, model.mesh.cells[cells], motion), *moduli))[:, :2, :2]
+    gained, scene = tensors(stresses)[:, :2, :2], model.scene
     frame, _ = facet.frame(mesh.points[mesh.joint_bottom[out]])
     traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(len(out), 2, 2)
     if scene.has_flow:

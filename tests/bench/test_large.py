@@ -1,0 +1,68 @@
+"""`scripts/bench large` on a small mesh: its parts, the resume, sliding, and the fit; no times or sizes are asserted."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import large
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.serial
+@pytest.mark.starts_ranks
+def test_small_run_in_all_ways(tmp_path):
+    found, facts = list[dict](), {}
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    for ranks, ways in (("2", ["explicit", "resume"]), ("1", ["quasi-static"])):
+        words = [
+            sys.executable,
+            large.__file__,
+            "400",
+            "--ranks",
+            ranks,
+            "--steps",
+            "8",
+            "--out",
+            tmp_path,
+            "--ways",
+            *ways,
+        ]
+        done = subprocess.run(
+            words,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            env=clean | {"PYTHONPATH": str(ROOT)},
+            stdin=subprocess.DEVNULL,
+        )
+        assert done.returncode == 0, done.stderr
+        lines = [json.loads(line) for line in done.stdout.splitlines()]
+        facts |= {line["way"]: line for line in lines if "steps" in line}
+        found += [line for line in lines if "part" in line]
+    assert facts["explicit"]["steps"] == 5 and facts["resume"]["steps"] == 8 and facts["quasi-static"]["steps"] == 1
+    assert all(facts[way]["slipping"] > 0 for way in ("explicit", "quasi-static"))
+    assert facts["quasi-static"]["krylov"] > 0  # multigrid
+    rows = {(line["way"], line["part"]): line for line in found}
+    assert {part for way, part in rows if way == "explicit"} == {*large.PARTS, large.REST, "whole"}
+    for way in large.WAYS:
+        parts = [rows[key]["cpu_s"] for key in rows if key[0] == way and key[1] != "whole"]
+        assert rows[way, "whole"]["cpu_s"] == pytest.approx(sum(parts), abs=0.01 * len(parts))
+        assert rows[way, "whole"]["cells"] == facts["explicit"]["cells"] and facts[way]["cells"] % 4 == 0
+    record = json.loads((tmp_path / "large.json").read_text(encoding="utf-8"))
+    assert record["command"].startswith("scripts/bench large 400") and len(record["rows"]) == len(lines) - 2
+
+
+@pytest.mark.serial
+def test_fit():
+    rows = [
+        {"way": "explicit", "part": "whole", "cells": cells, "ranks": ranks}
+        | {"rank0_GB": 0.1 + (1300 * cells / ranks + 17 * cells) / 2**30}
+        for cells in (4e5, 1.6e6)
+        for ranks in (1, 2, 4)
+    ]
+    assert large.fitted(rows)["explicit"] == {"c_GB": 0.1, "a": 1300, "b": 17}
+    assert large.fitted(rows[:2]) == {}
