@@ -14,7 +14,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.flow import Conduction, Flow
+from fracflow.model.flow import Compression, Conduction, Flow
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections, State
 
@@ -82,6 +82,17 @@ def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | Non
     through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
     squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
     return driven + squeezed
+
+
+def round_off_of_uptake(network: Flow, before: Compression | None, after: Compression | None, rate: float) -> Floats:
+    """The same of what compression takes up in a step, at flow nodes (n,): a difference of volumes held. Collective.
+
+    ``rate`` is beta_1. In a step of milliseconds it is 1e-9 of a wide fracture's fluid or less.
+    """
+    if before is None or after is None:
+        return network.at_nodes(np.zeros_like(network.aperture))
+    known = np.abs(before.held) + np.abs(after.held)
+    return network.at_nodes(NOISE * UNIT_ROUND_OFF * rate * known)
 
 
 def round_off_of_rock(operators: Operators, displacement: float) -> float:

@@ -32,7 +32,7 @@ from fracflow.solve.failure import fractures_of
 from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.request import StepRequest, StepRule
-from fracflow.solve.residual import TINY, largest, over_ranks
+from fracflow.solve.residual import TINY, largest, over_ranks, round_off_of_uptake
 
 
 class SectionProblem(Protocol):
@@ -112,8 +112,8 @@ class FlowOnJoints:
     def balance(self, problem: SectionProblem, change: Floats, given: PETSc.Vec) -> tuple[float, Floats]:
         """Evaluate ``problem.flow_balance`` where sections have moved by ``change`` (s, dim) in the step.
 
-        Gives its residual over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
-        each section. Collective.
+        Gives its residual beyond round-off over its largest term, and its derivatives (s, 2), at both nodes of the joint, by
+        the opening of each section. Collective.
         """
         network, joints, flow = self.operators.network, self.operators.joints, problem.flow_balance
         walls = joints.walls(problem.sections, network.law, problem.law_step())
@@ -133,7 +133,9 @@ class FlowOnJoints:
             flow.getArray()[part.numbers] = 0.0
         through = conduction.conductance[:, None] * np.abs(conduction.pressure)
         terms = [float(np.abs(each).max(initial=0.0)) for each in (swept, through)]
-        left, *sizes = over_ranks([largest(flow), *terms, largest(given)], self.operators.layout.comm)
+        known = round_off_of_uptake(network, problem.fluid_before, conduction.compression, problem.alphas.b1)
+        beyond = float((np.abs(flow.getArray(readonly=True)) - known).max(initial=0.0))
+        left, *sizes = over_ranks([beyond, *terms, largest(given)], self.operators.layout.comm)
         return left / max(*sizes, TINY), slope.transpose(0, 2, 1).reshape(-1, 2)
 
     def solve(
