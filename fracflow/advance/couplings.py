@@ -66,7 +66,7 @@ class Couplings:
         scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
         if is_chosen(scene, unknowns, self._planned, self._memory):
             return "condensed"
-        if name in ("auto", "monolithic") and takes_multigrid(scene.method.rock_solver, unknowns, memory=self._memory):
+        if name in ("auto", "monolithic") and takes_multigrid(scene.rock_solver, unknowns, memory=self._memory):
             return "multigrid"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"

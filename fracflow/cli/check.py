@@ -96,7 +96,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     explicit = explicit_cost(model)
     steps -= explicit.steps if explicit is not None else 0
     solves = steps > 0 or more
-    takes = takes_multigrid(model.scene.method.rock_solver, unknowns, memory=memory_at_hand(MPI.COMM_SELF))
+    takes = takes_multigrid(model.scene.rock_solver, unknowns, memory=memory_at_hand(MPI.COMM_SELF))
     memory = without_solves(unknowns) if not solves else (multigrid if takes else direct)(unknowns).bytes
     if model.scene.is_unbounded:
         layout = model.operators.layout

@@ -153,6 +153,11 @@ class Tables(TablesOfLaws):
         return 0 if table is None else table.refine
 
     @property
+    def rock_solver(self) -> str:
+        """That of the method; rock without cells has none to coarsen."""
+        return "direct" if self.is_unbounded and self.method.rock_solver == "auto" else self.method.rock_solver
+
+    @property
     def is_unbounded(self) -> bool:
         """Whether the rock has no sides, and no mesh."""
         return self.geometry is not None and self.geometry.is_unbounded

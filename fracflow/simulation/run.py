@@ -215,7 +215,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
-    rock_solver, comm = model.scene.method.rock_solver, model.operators.layout.comm
+    rock_solver, comm = model.scene.rock_solver, model.operators.layout.comm
     memory = memory_at_hand(comm)
     set_defaults(model.scene.petsc, unknowns, comm.size, rock_solver, memory)
     if takes_multigrid(rock_solver, unknowns, memory=memory):

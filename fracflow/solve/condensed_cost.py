@@ -127,7 +127,7 @@ def is_chosen(scene: Scene, unknowns: int, plan: Condensing, memory: float = mat
     memory  at hand [bytes]
     """
     allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
-    is_multigrid = takes_multigrid(scene.method.rock_solver, unknowns, memory=memory)
+    is_multigrid = takes_multigrid(scene.rock_solver, unknowns, memory=memory)
     suits = allowed and SMALLEST <= unknowns and not is_multigrid and not any(against_condensing(scene))
     return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
