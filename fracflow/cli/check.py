@@ -8,7 +8,7 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.advance.cost import cost_of_events
-from fracflow.advance.explicit import explicit_cost
+from fracflow.advance.explicit import explicit_cost, seconds_of_product
 from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.read import network_of
@@ -25,6 +25,8 @@ from fracflow.solve.condensed_cost import planned as solved
 from fracflow.solve.rock_cost import NUMBER, direct, memory_at_hand, multigrid, takes_multigrid, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
+SERIES = 4000.0  # the same for an unknown of compressed rock, by scripts/bench compressed
+PRODUCTS = 10  # in a linear solve there
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
@@ -98,10 +100,12 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     solves = steps > 0 or more
     takes = takes_multigrid(model.scene.rock_solver, unknowns, memory=memory_at_hand(MPI.COMM_SELF))
     memory = without_solves(unknowns) if not solves else (multigrid if takes else direct)(unknowns).bytes
+    is_compressed = model.operators.far is not None
     if model.scene.is_unbounded:
         layout = model.operators.layout
         moving = float(int(layout.solid_starts[-1]) - len(held_walls(model.operators.blocks)))
-        memory = without_solves(0) + NUMBER * DENSE * moving**2
+        numbers = SERIES if is_compressed else DENSE * moving
+        memory = without_solves(0) + NUMBER * numbers * moving
     found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
         found["explicit steps"] = explicit.line
@@ -110,10 +114,14 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         parts.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
-        each = lasted * (1.0 + BESIDES) + OWN
+        each, made = lasted * (1.0 + BESIDES) + OWN, f"a factorisation, and one took {lasted:.2g} s here"
+        if is_compressed:
+            product = seconds_of_product(model.operators)
+            each += PRODUCTS * product
+            made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
         found |= cost_of_events(model, each, ITERATIONS)
-        parts.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
+        parts.append(f"{ITERATIONS} iterations a step, each with {made}")
     besides = ["events and searches"] if more else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []
     without = f", without those of {' and of '.join(besides)}" if besides else ""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, timed
+from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.elements import dislocation
 from fracflow.elements.cells import CellPairs, Cells, divided, pairs_of
 from fracflow.elements.multipoles import FarJumps, Hats
@@ -20,6 +20,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import matrix_of
 from fracflow.model.unbounded import of_energy
+from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 SHARP = 1e-10  # of a block of K_s: what its series leaves out
 FROM = 500  # joints from which on near entries and series take less time and memory than all entries
+FAULTY = 1e-8  # of a product: an error that series cannot have but by a fault
+SAMPLES = 4  # walls at which the error of a product is measured
 MOST_DENSE = 5000  # joints whose entries are all stored: 1e8 of them
 
 
@@ -45,18 +48,24 @@ class _Walls:
 
 
 class FarRock:
-    """The share of far walls in K_s."""
+    """The share of far walls in K_s; ``error`` is that of a product, as it was measured at some walls [1]."""
 
     def __init__(self, comm: MPI.Comm, jumps: FarJumps, places: Ints, factor: float) -> None:
         """``places`` (h,) are those of the first unknowns of this rank's walls; ``factor`` is -E'/(4 pi) [stress]."""
-        self._comm, self._jumps, self._places, self._factor = comm, jumps, places, factor
+        self._comm, self._jumps, self._places, self.factor, self.error = comm, jumps, places, factor, np.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line on how the rock is solved, which is a warning where series err by more than they should."""
+        line = f"rock is compressed: series for joints far from each other, in the place of entries, equal to {self.error:.1g}"
+        return (note(line),) if self.error <= FAULTY else (f'{line}: use method.rock_solver = "direct"',)
 
     @timed("FracFarRock")
     def force(self, moved: Floats) -> Floats:
         """Forces (n,) on this rank's unknowns, of displacements (n,) [force per thickness]. Collective."""
         moments = self._jumps.leaf_moments(moved[self._places] + 1j * moved[self._places + 1])
         self._comm.Allreduce(MPI.IN_PLACE, moments)
-        found, result = self._factor * self._jumps.forces(moments), np.zeros(len(moved))
+        found, result = self.factor * self._jumps.forces(moments), np.zeros(len(moved))
         result[self._places], result[self._places + 1] = found.real, found.imag
         return result
 
@@ -86,8 +95,35 @@ def stiffness(blocks: Blocks, scene: Scene) -> tuple[PETSc.Mat, FarRock]:
     factor, size = of_energy(scene), (last - first, total)
     entries = _interleaved(_near(walls, own), rows, walls.unknown, size)
     near = matrix_of((size, size), (entries.indptr, entries.indices, factor * entries.data), comm)
-    jumps = FarJumps(walls.cells, walls.pairs, _some(walls.hats, own), SHARP)
-    return near, FarRock(comm, jumps, rows, factor)
+    far = FarRock(comm, FarJumps(walls.cells, walls.pairs, _some(walls.hats, own), SHARP), rows, factor)
+    far.error = _error(walls, own, rows, near, far)
+    return near, far
+
+
+def _error(walls: _Walls, own: Ints, rows: Ints, near: PETSc.Mat, far: FarRock) -> float:
+    """Largest error of a product with displacements at random, at some walls, over its largest entry. Collective."""
+    hats, comm, count = walls.hats, near.getComm().tompi4py(), len(walls.unknown)
+    all_moved = np.random.default_rng(0).standard_normal((count, 2)) @ [1, 1j]
+    moved, force = near.createVecs()
+    for place, part in enumerate((all_moved[own].real, all_moved[own].imag)):
+        moved.getArray()[rows + place] = part
+    near.mult(moved, force)
+    found = force.getArray() + far.force(moved.getArray(readonly=True))
+    destroy(moved, force)
+    grows, worst = np.zeros(len(hats.ends), dtype=complex), 0.0
+    np.add.at(grows, hats.segment, hats.sign * all_moved[hats.hat])
+    asked = np.unique(np.linspace(0, count - 1, SAMPLES).astype(np.int64))
+    _, here, _ = np.intersect1d(own, asked, return_indices=True)
+    for wall in here:
+        wanted = 0j
+        for entry in np.flatnonzero(hats.hat == own[wall]):
+            segment = np.full(len(hats.ends), hats.segment[entry])
+            xx, yy, xy = dislocation.pair_means(hats.ends, segment, np.arange(len(hats.ends))).T
+            pulled = xx @ grows.real + xy @ grows.imag + 1j * (xy @ grows.real + yy @ grows.imag)
+            wanted += far.factor * hats.sign[entry] * pulled
+        worst = max(worst, abs(wanted - found[rows[wall]] - 1j * found[rows[wall] + 1]))
+    worst, largest = (comm.allreduce(each, op=MPI.MAX) for each in (worst, np.abs(found).max(initial=0.0)))
+    return float(worst / largest) if largest > 0.0 else 0.0
 
 
 def _walls(blocks: Blocks) -> _Walls:

@@ -332,8 +332,8 @@ class KeptFactors:
 class NearFactors:
     """LU of the entries that the matrix has, which preconditions FGMRES on all of it.
 
-    Far walls are left out of the entries, and feel long waves of slip alone. A step begins with factors of its own. They are made
-    anew where joints have changed so much that a factorisation costs less than more iterations.
+    Far walls are left out of the entries, and feel long waves of slip alone. A step begins with factors of its own. These are
+    made anew where joints have changed so much that a factorisation costs less than more iterations.
     """
 
     def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
