@@ -29,7 +29,7 @@ class Couplings:
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
         self._damps = operators.damping is not None
-        self._rock = rock_choice(model.scene.method, operators.layout.comm, self._unknowns)
+        self._rock = rock_choice(model.scene, operators.layout.comm, self._unknowns)
         ranks = operators.layout.comm.size
         self._planned = condensing(model.scene, self._unknowns, self._jumps, ranks, self._damps)
         self._kept: dict[Loads, Coupling] = {}  # the one used last comes last

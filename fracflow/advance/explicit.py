@@ -225,19 +225,19 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
     return ExplicitCost(
         sum(count for count, _, _ in cuts),
         sum(count * n for count, _, n in cuts),
-        PRODUCTS * _seconds_of_product(model.operators),
+        PRODUCTS * seconds_of_product(model.operators),
         critical,
         f"{', '.join(words)}; {limit}; without a factorisation",
     )
 
 
-def _seconds_of_product(operators: Operators) -> float:
+def seconds_of_product(operators: Operators) -> float:
     """CPU time of a product of the rock's stiffness with a vector, on this process [s]. Collective."""
     moved, force = operators.layout.solid_vector(), operators.layout.solid_vector()
-    operators.stiffness.mult(moved, force)
+    operators.rock_force(moved, force)
     began = process_time()
     for _ in range(TIMED):
-        operators.stiffness.mult(moved, force)
+        operators.rock_force(moved, force)
     lasted = (process_time() - began) / TIMED
     destroy(moved, force)
     return lasted

@@ -8,7 +8,7 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.advance.cost import cost_of_events
-from fracflow.advance.explicit import explicit_cost
+from fracflow.advance.explicit import explicit_cost, seconds_of_product
 from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.cut_mesh import whole_mesh
@@ -26,6 +26,8 @@ from fracflow.solve.condensed_cost import planned as solved
 from fracflow.solve.rock_cost import NUMBER, rock_choice, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
+SERIES = 4000.0  # the same for an unknown of compressed rock, by scripts/bench compressed
+PRODUCTS = 10  # in a linear solve there
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
@@ -97,12 +99,14 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     explicit = explicit_cost(model)
     steps -= explicit.steps if explicit is not None else 0
     solves = steps > 0 or more
-    rock = rock_choice(model.scene.method, MPI.COMM_SELF, int(model.operators.layout.solid_starts[-1]))
+    rock = rock_choice(model.scene, MPI.COMM_SELF, int(model.operators.layout.solid_starts[-1]))
     memory = rock.cost.bytes if solves else without_solves(unknowns)
+    is_compressed = model.operators.far is not None
     if model.scene.is_unbounded:
         layout = model.operators.layout
         moving = float(int(layout.solid_starts[-1]) - len(held_walls(model.operators.blocks)))
-        memory = without_solves(0) + NUMBER * DENSE * moving**2
+        numbers = SERIES if is_compressed else DENSE * moving
+        memory = without_solves(0) + NUMBER * numbers * moving
     found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
         found["explicit steps"] = explicit.line
@@ -111,10 +115,14 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         parts.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
-        each = lasted * (1.0 + BESIDES) + OWN
+        each, made = lasted * (1.0 + BESIDES) + OWN, f"a factorisation, and one took {lasted:.2g} s here"
+        if is_compressed:
+            product = seconds_of_product(model.operators)
+            each += PRODUCTS * product
+            made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
         found |= cost_of_events(model, each, ITERATIONS)
-        parts.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
+        parts.append(f"{ITERATIONS} iterations a step, each with {made}")
     besides = ["events and searches"] if more else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []
     without = f", without those of {' and of '.join(besides)}" if besides else ""

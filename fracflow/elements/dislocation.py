@@ -36,27 +36,33 @@ def energies(ends: Floats, rows: Ints) -> Floats:
     result = np.empty((len(rows), len(ends), 3))
     place = np.full(len(ends), -1)
     place[rows] = np.arange(len(rows))
-    middle, length = ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     step = max(CHUNK // len(ends), 1)
     for first in range(0, len(rows), step):
         chosen = rows[first : first + step]
         one, other = (part.ravel() for part in np.meshgrid(chosen, np.arange(len(ends)), indexing="ij"))
         asked = (one <= other) | (place[other] < 0)
         one, other = one[asked], other[asked]
-        low, high = np.minimum(one, other), np.maximum(one, other)
-        half = 0.5 * (length[low] + length[high])
-        apart = np.linalg.norm(middle[low] - middle[high], axis=1) - half
-        apart /= np.maximum(length[low], length[high])
-        values, left = np.empty((len(low), 3)), np.ones(len(low), dtype=bool)
-        for least, count in FAR:
-            now = left & (apart > least)
-            values[now] = _far(ends[low[now]], ends[high[now]], count)
-            left &= ~now
-        values[left] = _near(ends[low[left]], ends[high[left]])
+        values = pair_means(ends, one, other)
         result[place[one], other] = values
         mirrored = place[other] >= 0
         result[place[other[mirrored]], one[mirrored]] = values[mirrored]
     return result
+
+
+def pair_means(ends: Floats, one: Ints, other: Ints) -> Floats:
+    """The same means (m, 3) of pairs of segments, by their numbers (m,)."""
+    middle, length = ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    half = 0.5 * (length[low] + length[high])
+    apart = np.linalg.norm(middle[low] - middle[high], axis=1) - half
+    apart /= np.maximum(length[low], length[high])
+    values, left = np.empty((len(low), 3)), np.ones(len(low), dtype=bool)
+    for least, count in FAR:
+        now = left & (apart > least)
+        values[now] = _far(ends[low[now]], ends[high[now]], count)
+        left &= ~now
+    values[left] = _near(ends[low[left]], ends[high[left]])
+    return values
 
 
 def _far(one: Floats, other: Floats, count: int) -> Floats:

@@ -32,7 +32,7 @@ LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 MOST_CELLS = 1e8
-MOST_JOINTS = 5000  # in rock that is not meshed: 1e8 entries of its stiffness
+MOST_JOINTS = 1_000_000  # in rock that is not meshed
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
 SMALL = 0.25  # of the size at fractures: smaller cells are reported
 
@@ -164,7 +164,7 @@ def build_unmeshed(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
     joints = cut(network, around, fine, float(geometry.growth), halvings)
     if len(joints[1]) > MOST_JOINTS:
         raise InputError(
-            f'geometry.domain = "unbounded": {len(joints[1])} joints, each of which acts on all others, are more than'
+            f'geometry.domain = "unbounded": {len(joints[1])} joints are more than'
             f" {MOST_JOINTS}: raise geometry.size_at_fractures, or give geometry.domain = [xmin, ymin, xmax, ymax]"
         )
     return with_walls(*joints, tuple(names), geometry.rock, (*network.notes, *near_miss_lines(misses)))

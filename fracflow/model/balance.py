@@ -20,7 +20,7 @@ def static_balance(
 ) -> PETSc.Vec:
     """S = K u + F_s(sigma_0) + G' W f - B p + forces of terms - R, tractions f (s, dim), in a new vector. Collective."""
     result = ops.prestress.copy()
-    ops.stiffness.multAdd(displacement, result, result)
+    ops.rock_force(displacement, result, result)
     ops.joints.force(traction, result)
     if ops.flow is not None:
         term = result.duplicate()

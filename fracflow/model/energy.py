@@ -54,7 +54,7 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     parts["friction"] -= of_joints[5]
     parts["radiated"] = parts.get("radiated", 0.0) + of_joints[5]
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
-    ops.stiffness.mult(mean_displacement, term)
+    ops.rock_force(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
     outer = [force for state in (old, new) for force in (state.forces.load, state.forces.support)]
     parts["work_boundaries"] += 0.5 * sum(force.dot(change) for force in outer)

@@ -9,7 +9,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model import unbounded
+from fracflow.model import compressed, unbounded
 from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
@@ -43,7 +43,7 @@ class Operators:
 
     ``terms`` are boundary conditions and the like; ``stiffness`` has K of theirs in it, ``damping`` is the sum of their C,
     None where none has one. ``inward`` is P of ``contact_mass``, which ``mass`` has in it; None where every node carries its
-    own mass.
+    own mass. Where rock is compressed, ``stiffness`` has entries of near walls alone, and ``far`` is the rest of K_s.
     """
 
     blocks: Blocks
@@ -58,6 +58,16 @@ class Operators:
     damping: PETSc.Mat | None = None
     inward: PETSc.Mat | None = None
     terms: tuple[Term, ...] = ()
+    far: compressed.FarRock | None = None
+
+    def rock_force(self, moved: PETSc.Vec, force: PETSc.Vec, before: PETSc.Vec | None = None) -> None:
+        """K_s u, in ``force``, added to what was there ``before`` where that is given. Collective."""
+        if before is None:
+            self.stiffness.mult(moved, force)
+        else:
+            self.stiffness.multAdd(moved, before, force)
+        if self.far is not None:
+            force.getArray()[:] += self.far.force(moved.getArray(readonly=True))
 
     @property
     def network(self) -> Flow:
@@ -114,8 +124,13 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
     joints = assemble_joints(blocks, scene, expand)
     if not scene.equilibrates:
         refuse_steep_start(blocks, joints)
+    far = None
     if scene.is_unbounded:
-        stiff, weight = unbounded.stiffness(blocks, scene), unbounded.mass(blocks)
+        if compressed.is_compressed(scene, blocks.sizes.joints):
+            stiff, far = compressed.stiffness(blocks, scene)
+        else:
+            stiff = unbounded.stiffness(blocks, scene)
+        weight = unbounded.mass(blocks)
         prestress = unbounded.initial_stress_force(blocks, scene, joints)
     else:
         stiff, weight = stiffness(blocks, scene, expand), mass(blocks, scene, expand)
@@ -130,4 +145,5 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
         joints,
         assemble_flow(blocks, scene, expand) if scene.has_flow else None,
         natural_scales(blocks, scene, joints, stiff),
+        far=far,
     )

@@ -400,7 +400,9 @@ def set_up(
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, None if mesh is None else whole_mesh(mesh))
-    placed = replace(placed, notes=(*placed.notes, *(line for term in operators.terms for line in term.notes)))
+    lines = [line for term in operators.terms for line in term.notes]
+    lines += operators.far.notes if operators.far is not None else ()
+    placed = replace(placed, notes=(*placed.notes, *lines))
     return Model(scene, mesh, placed, operators, loads, scene)
 
 

@@ -53,6 +53,13 @@ def is_around(blocks: Blocks) -> Bools:
     return np.asarray(blocks.comm.allreduce(area) <= ROUND_OFF * size)
 
 
+def of_energy(scene: Scene) -> float:
+    """-E'/(4 pi) of the rock [stress]."""
+    (rock,) = scene.rock.values()
+    assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
+    return -rock.youngs_modulus / (1.0 - rock.poissons_ratio**2) / (4.0 * float(np.pi))
+
+
 def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
     """(2.39) K_s on the unknowns, without entries for held walls [force/length per thickness]. Collective.
 
@@ -61,8 +68,7 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
     """
     from scipy import sparse  # imports much
 
-    block, comm, (rock,) = blocks.solid, blocks.comm, scene.rock.values()
-    assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
+    block, comm = blocks.solid, blocks.comm
     faces = np.stack([blocks.joints.bottom, blocks.joints.top], axis=1)  # (joint, face, end)
     parts = comm.allgather((blocks.joints.ids, block.points[blocks.joints.bottom], block.unknown[faces]))
     ids, ends, walls = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -82,7 +88,7 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
     means, pairs = dislocation.energies(ends, touching), np.empty((len(touching), 2, len(ends), 2))
     for i, j, part in ((0, 0, 0), (1, 1, 1), (0, 1, 2), (1, 0, 2)):
         pairs[:, i, :, j] = means[..., part]
-    pairs *= -rock.youngs_modulus / (1.0 - rock.poissons_ratio**2) / (4.0 * np.pi)
+    pairs *= of_energy(scene)
     chosen = (2 * touching[:, None] + np.arange(2)).ravel()
     values = here[chosen].T @ (changes[:, free].T @ pairs.reshape(len(chosen), 2 * len(ends)).T).T
 

@@ -191,7 +191,7 @@ def error_of_sides(model: Model, state: State) -> float:
     """Error of leaving out the sides, by the jumps of a state [1]. Collective."""
     ops = model.operators
     moved, force = state.motion.displacement, ops.layout.solid_vector()
-    ops.stiffness.mult(moved, force)
+    ops.rock_force(moved, force)
     work = float(force.dot(moved))
     force.destroy()
     motion = ops.gathered(moved)

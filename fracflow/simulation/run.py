@@ -217,7 +217,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     layout = model.operators.layout
-    rock = rock_choice(model.scene.method, layout.comm, int(layout.solid_starts[-1]))
+    rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]))
     set_defaults(model.scene.petsc, rock, layout.comm.size)
     if rock.by_multigrid:
         recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))

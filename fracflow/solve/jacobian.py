@@ -17,6 +17,7 @@ from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.model.compressed import FarRock
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
 from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
@@ -110,6 +111,12 @@ class JoinedMatrix:
         self._standing = np.zeros(0)  # values of those entries without the state
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
+        self.whole = self.matrix if ops.far is None else self._with_far(ops.far)
+
+    def _with_far(self, far: FarRock) -> PETSc.Mat:
+        whole = PETSc.Mat().createPython(self.matrix.getSizes(), _WithFar(self, far), comm=self.layout.comm)
+        whole.setUp()
+        return whole
 
     def _entries(self, matrix: PETSc.Mat, row_part: str, col_part: str) -> tuple[Entries, Floats]:
         """Where the entries of a part are, and their values (n,)."""
@@ -351,7 +358,25 @@ class JoinedMatrix:
 
     def destroy(self) -> None:
         """Free the matrices. Collective."""
+        if self.whole is not self.matrix:
+            self.whole.destroy()
         self.matrix.destroy()
+
+
+class _WithFar:
+    """PETSc's context of the whole Jacobian where rock has more than its entries."""
+
+    def __init__(self, filled: JoinedMatrix, far: FarRock) -> None:
+        """Both are the caller's."""
+        self.filled, self.far = filled, far
+
+    def mult(self, _: PETSc.Mat, given: PETSc.Vec, result: PETSc.Vec) -> None:
+        """The entries, and far walls, which are never held but with all displacements. Collective."""
+        self.filled.matrix.mult(given, result)
+        if self.filled.stood[2] != "flow":
+            layout, scales = self.filled.layout, self.filled.operators.scales
+            force = self.far.force(given.getArray(readonly=True)[: layout.solid_count])
+            result.getArray()[: layout.solid_count] += scales.displacement / scales.force * force
 
 
 def _between(places: Ints, begin: int, end: int) -> slice:

@@ -130,7 +130,7 @@ def _why_unsolved(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec) -> s
     if code in NO_MEMORY:
         return f"MUMPS found no memory for its factors (INFOG(1) = {code})"
     norm, size = PETSc.NormType.INFINITY, given.norm(PETSc.NormType.INFINITY)
-    grown = solver.getOperators()[0].norm(norm) * solution.norm(norm) / size if size > 0.0 else 0.0
+    grown = solver.getOperators()[1].norm(norm) * solution.norm(norm) / size if size > 0.0 else 0.0
     if code in NO_PIVOT or not grown < NEARLY:
         return "the matrix is singular, or nearly so"
     said = f" (INFOG(1) = {code})" if code else ""
@@ -233,6 +233,8 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
 
 LEAST_WORTH = 2.0  # solves in the time of a factorisation: below, nothing is saved
 SHARP = 1e-5  # of the right side: what is left there costs Newton's method next to no iteration
+MOST_FAR = 100  # iterations between restarts, with factors of near entries
+WORTH_FAR = 10  # of them in the time of a factorisation
 LONGEST_PAUSE = 32  # changes of the matrix
 
 
@@ -328,7 +330,54 @@ class KeptFactors:
         self.factored.destroy()
 
 
-Factors = NewFactors | KeptFactors
+class NearFactors:
+    """LU of the entries that the matrix has, which preconditions FGMRES on all of it.
+
+    Far walls are left out of the entries, and feel long waves of slip alone. A step begins with factors of its own. These are
+    made anew where joints have changed so much that a factorisation costs less than more iterations.
+    """
+
+    def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
+        """Make FGMRES of a solver that is LU alone. Collective."""
+        self.solver, self.matrix, self.made = solver, matrix, 0
+        self.factored = matrix.matrix.duplicate()
+        self._fills = -1
+        self.begin()
+        solver.setType("fgmres")
+        solver.setGMRESRestart(MOST_FAR)
+        solver.setTolerances(rtol=SHARP, max_it=2 * MOST_FAR)
+        solver.setConvergenceTest(KrylovTest())
+
+    def begin(self) -> None:
+        """A step begins: factors of the step before are dropped."""
+        self._usual, self._is_worn = 0, True
+
+    def changed(self, must: bool = False) -> None:
+        """Take notice of a matrix that was filled. Collective."""
+        if self._fills != self.matrix.fills and (must or self._is_worn):
+            self._renew()
+
+    def _renew(self) -> None:
+        self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.made, self._fills, self._is_worn, self._usual = self.made + 1, self.matrix.fills, False, 0
+
+    def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
+        """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""
+        taken = int(self.solver.getIterationNumber())
+        if self.solver.getConvergedReason() <= 0 and self._fills != self.matrix.fills:
+            self._renew()
+            self.solver.solve(given, step)
+            taken += int(self.solver.getIterationNumber())
+        self._usual = self._usual or taken
+        self._is_worn = taken > self._usual + WORTH_FAR
+        return taken
+
+    def destroy(self) -> None:
+        """Free the copy. Collective."""
+        self.factored.destroy()
+
+
+Factors = NewFactors | KeptFactors | NearFactors
 
 
 def are_kept(scene: Scene, unknowns: int, swift: bool = False) -> bool:
@@ -346,5 +395,7 @@ def _is_swift(solver: PETSc.KSP) -> bool:
 def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors:
     """Factors for a solver whose options are read. Collective."""
     is_direct = solver.getType() == "preonly" and solver.getPC().getType() == "lu"
+    if is_direct and matrix.whole is not matrix.matrix:
+        return NearFactors(solver, matrix)
     keeps = is_direct and are_kept(scene, matrix.layout.total, _is_swift(solver))
     return (KeptFactors if keeps else NewFactors)(solver, matrix)

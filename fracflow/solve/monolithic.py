@@ -129,7 +129,7 @@ class Multigrid(Auto):
 
     def _second(self, failure: NotConverged) -> Newton:
         layout = self.matrix.layout
-        rock = rock_choice(self.scene.method, layout.comm, int(layout.solid_starts[-1]))
+        rock = rock_choice(self.scene, layout.comm, int(layout.solid_starts[-1]))
         if rock.lacks_room:
             needed, there = direct(rock.unknowns).bytes, rock.memory
             raise Unsolved(

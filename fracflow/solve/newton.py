@@ -65,7 +65,7 @@ class Newton:
         self.solver = self.snes.getKSP()
         set_up(self.solver, matrix)
         self.factors = factors_of(scene, self.solver, matrix)
-        self.snes.setJacobian(self._jacobian, matrix.matrix, self.factors.factored)
+        self.snes.setJacobian(self._jacobian, matrix.whole, self.factors.factored)
         self.least = 0  # iterations in any case
         self.problem: StepProblem  # from ``solve`` on, as are the rounds
         self.floating: Floating | None = None
@@ -291,8 +291,8 @@ class Newton:
         until no joint in contact widens by its own aperture.
         """
         self._is_held, self._is_filled = True, False
-        self._jacobian(self.snes, self.unknowns, self.matrix.matrix, self.factors.factored)
-        self.solver.setOperators(self.matrix.matrix, self.factors.factored)
+        self._jacobian(self.snes, self.unknowns, self.matrix.whole, self.factors.factored)
+        self.solver.setOperators(self.matrix.whole, self.factors.factored)
         self.solver.solve(self.balance, step)
         self._krylov += self.factors.check(self.balance, step)
         check_step(self.solver, step, self.balance, problem, self.prefix)

@@ -166,7 +166,7 @@ class StepProblem:
 
         acceleration, speed = self.acceleration(), self.velocity()
         terms += self.moving.add(acceleration, speed, u, solid)
-        ops.stiffness.mult(u, term)
+        ops.rock_force(u, term)
         add(1.0)
         ops.prestress.copy(term)
         add(1.0)

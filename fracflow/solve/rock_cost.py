@@ -17,6 +17,7 @@ from pathlib import Path
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.scene.method import Method
+from fracflow.scene.scene import Scene
 from fracflow.storage.files import read_text
 
 NUMBER = 8.0  # bytes
@@ -139,9 +140,12 @@ class RockChoice:
         return cls(takes, unknowns, memory, f"{expected}, {memory / 1e9:.3g} GB at hand")
 
 
-def rock_choice(method: Method, comm: MPI.Comm, unknowns: int) -> RockChoice:
+def rock_choice(scene: Scene, comm: MPI.Comm, unknowns: int) -> RockChoice:
     """The choice for so many displacements on these ranks, by the memory that they have. Collective."""
-    return RockChoice.of(method, unknowns, memory_at_hand(comm))
+    memory = memory_at_hand(comm)
+    if scene.is_unbounded:  # it has no grids
+        return RockChoice(False, unknowns, memory, "rock that is not meshed")
+    return RockChoice.of(scene.method, unknowns, memory)
 
 
 def memory_at_hand(comm: MPI.Comm) -> float:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from figures_verification.runs import solve
 
+from fracflow._petsc import MPI
 from fracflow.errors import InputError, NotConverged
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 ROCK = """
@@ -75,6 +77,38 @@ def test_fractures_that_cross_as_a_mesh_has_them_in_the_limit():
     assert found.fractures[-1].point["opening"].max() > 0.0 and found.history["energy/friction"][-1] > 0.0
 
 
+def test_far_joints_as_series_are_as_all_entries():
+    """Slip, opening and pressure, by other linear solvers; fluid drives slip, so that Newton's method has work to do."""
+    whole, found = (solve(NETWORK, "geometry.size_at_fractures=40", f"method.rock_solver={way}") for way in SOLVERS)
+    assert found.history["step/slipping"].max() > 0 and found.history["step/krylov"].max() > 20
+    assert found.open_books < 1e-10
+    for name in ("slip", "opening", "pressure", "shear_traction"):
+        one, other = (each.fractures[-1].point[name] for each in (whole, found))
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(one).max())
+
+
+SOLVERS = "direct", "compressed"
+
+
+def test_far_joints_on_one_rank_and_on_all(shared_tmp):
+    """K_s u of displacements that follow from the numbers of nodes; on one rank by all entries too."""
+    (shared_tmp / "scene.toml").write_text(NETWORK)
+    comm, forces = MPI.COMM_WORLD, []
+    for way, ranks in (("compressed", comm), ("compressed", MPI.COMM_SELF), ("direct", MPI.COMM_SELF)):
+        settings = ["geometry.size_at_fractures=20", f"method.rock_solver={way}"]
+        ops = prepare(load(shared_tmp / "scene.toml", settings), ranks).operators
+        block, moved, force = ops.blocks.solid, ops.layout.solid_vector(), ops.layout.solid_vector()
+        numbers = block.unknown[: block.owned] - block.unknown_starts[ranks.rank]
+        turn = np.array([12.9, 78.2])
+        moved.getArray()[numbers] = np.sin(turn * block.node_ids[: block.owned, None])
+        ops.rock_force(moved, force)
+        forces.append(comm.bcast(ops.gathered(force)))
+        assert (ops.far is None) == (way == "direct")
+    size = np.abs(forces[2]).max()
+    np.testing.assert_allclose(forces[0], forces[1], rtol=0, atol=1e-13 * size)
+    np.testing.assert_allclose(forces[1], forces[2], rtol=0, atol=1e-10 * size)
+
+
 def test_network_keeps_its_energy_and_its_fluid():
     found = solve(NETWORK)
     assert found.open_books < 1e-10
@@ -120,11 +154,17 @@ def test_displacements_and_stresses_around_a_sheared_crack():
     )
 
 
-def test_a_crack_of_two_joints():
+@pytest.mark.parametrize("way", SOLVERS)
+def test_a_crack_of_two_joints(way):
     """By hand, K_s = E' ln 2/pi against the opening of the node; on three ranks one has no joint."""
     scene = CROSSED[: CROSSED.index("geometry =")] + CROSSED[CROSSED.index("[fracture") :]
     geometry = 'geometry={domain="unbounded", size=1, fracture=[{name="a", points=[[-1, 0], [1, 0]]}]}'
-    found = solve(scene.replace("initial_stress", "#"), geometry, "fracture.default.pressure=[[0, 0], [1, 1e6]]")
+    found = solve(
+        scene.replace("initial_stress", "#"),
+        geometry,
+        "fracture.default.pressure=[[0, 0], [1, 1e6]]",
+        f"method.rock_solver={way}",
+    )
     opening = found.fractures[-1].point["opening"].max()
     assert opening == pytest.approx(np.pi * 1e6 / (50e9 / (1 - 0.25**2) * np.log(2)), rel=1e-12)
 
@@ -167,6 +207,16 @@ def test_what_there_is_not_is_refused(setting, tmp_path):
     (tmp_path / "scene.toml").write_text(NETWORK.replace('"Anna"', "'Anna'"))
     with pytest.raises(InputError, match=REFUSED[setting]):
         load(tmp_path / "scene.toml", ["rock.rock.density=2700", setting])
+
+
+@pytest.mark.serial
+def test_compressed_rock_is_unmeshed_and_has_no_factors_of_its_own(tmp_path):
+    (tmp_path / "scene.toml").write_text(NETWORK)
+    compressed = "method.rock_solver=compressed"
+    with pytest.raises(InputError, match=r"rock_solver.*not meshed"):
+        load(tmp_path / "scene.toml", ["geometry.domain=[0, 0, 1000, 800]", "load=[]", compressed])
+    with pytest.raises(InputError, match=r"coupling.*far joints"):
+        load(tmp_path / "scene.toml", ["method.coupling=fixed-point", compressed])
 
 
 @pytest.mark.serial
