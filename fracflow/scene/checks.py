@@ -175,9 +175,9 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
         if well.on is not None:
             yield ("well", index, "on"), f"{free} sides: give at = a place on a fracture, or {bounded}"
     for index, stage in enumerate(scene.stage):
-        if stage.kind in ("dynamic", "auto"):
-            why = f'is "{stage.kind}", and {free} cells that have inertia'
-            yield ("stage", index, "kind"), f'{why}: use "quasi-static" or "steady", or {bounded}'
+        if stage.kind == "dynamic":
+            why = f'is "dynamic", and {free} cells that have inertia until an event of a stage auto needs them'
+            yield ("stage", index, "kind"), f'{why}: use "auto", "quasi-static" or "steady", or {bounded}'
     for name, rock in scene.rock.items():
         if rock.rigid:
             yield ("rock", name, "rigid"), f"{free} blocks of their own: remove it, or {bounded}"
