@@ -83,7 +83,8 @@ def _rock_fields(block: SolidBlock, scene: Scene, motion: Floats, state: State) 
     """Point data of a rank's own nodes and data of its cells, from the motion (n, 3, 2) of its nodes."""
     moves, own = state.energy["kinetic"] != 0.0, motion[: block.owned]
     nodes = SimpleNamespace(displacement=own[:, 0], velocity=own[:, 1], acceleration=own[:, 2])
-    cells = Cells(scene, block, np.arange(len(block.cells)), block.points, block.cells, motion, moves)
+    far = far_stress(scene, state.time, state.controls)
+    cells = Cells(scene, block, np.arange(len(block.cells)), block.points, block.cells, motion, moves, far)
     return _formulas(nodes, cells, block.cell_rock)
 
 

@@ -234,7 +234,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
         step, failure = _stepped(model, recorder, step, observer)
         while isinstance(failure, MeshNeeded):
             model, step = _on_event_mesh(model, recorder, step, failure)
-            step, failure = _stepped(model, recorder, step, observer)
+            step, failure = _stepped(model, recorder, step, observer, is_on_record=False)
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
@@ -251,7 +251,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
 
 
 def _stepped(
-    model: Model, recorder: Recorder, step: Step, observer: Observer
+    model: Model, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool = True
 ) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
     """All steps of a model, by solvers of its own; as ``_steps``. Collective."""
     unknowns = int(model.operators.layout.solid_starts[-1])
@@ -262,7 +262,7 @@ def _stepped(
         recorder.log(note(f"{as_line(unknowns, memory)}: multigrid in the place of a factorisation of the rock"))
     stepping = Stepping(model, recorder.log)
     try:
-        return _steps(stepping, recorder, step, observer)
+        return _steps(stepping, recorder, step, observer, is_on_record)
     finally:
         if not is_alone():
             stepping.destroy()
@@ -272,6 +272,7 @@ def _stepped(
 def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNeeded) -> tuple[Model, Step]:
     """The model on the mesh that an event needs, and its first state on record. Raises InputError, SolveError. Collective."""
     scene, state = model.scene, step.state
+    recorder.save(step)  # Gmsh may fail
     recorder.log(f"time {scene.time_text(state.time)}: an event needs inertia: {needed.why}: the rock is meshed")
     new = with_event_mesh(model, recorder.comm)
     found = handed_over(model, new, state)
@@ -291,10 +292,7 @@ def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNee
     )
     for line in new.placed.notes:
         recorder.log(marked(line))
-    step = replace(step, state=found.state, progress=event.as_progress())
-    recorder.record(step)
-    recorder.save(step)
-    return new, step
+    return new, replace(step, state=found.state, progress=event.as_progress())
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -305,7 +303,7 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 @timed("FracSteps", "Steps")
 def _steps(
-    stepping: Stepping, recorder: Recorder, step: Step, observer: Observer
+    stepping: Stepping, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool
 ) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective.
 
@@ -316,6 +314,10 @@ def _steps(
     going_on = step.progress or {}
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
+            if not is_on_record:
+                recorder.record(step)
+                recorder.save(step)
+                observer(step)
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
