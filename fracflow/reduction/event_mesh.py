@@ -1,8 +1,7 @@
 """The mesh that rock without one gets once an event needs inertia: its sides, its sizes, and the model of it.
 
-An unbounded domain has a box around its fractures with absorbing sides. Stresses of an event that are a distance r from a
-fracture of half length a are (a/r)^2 of their change there: with the usual margin 4 % at the nearest side, if it is one
-fracture. A domain whose sides the plan has left out has these sides.
+An unbounded domain has a box around its fractures with absorbing sides. At a distance r from a fracture of half length a an
+event changes stresses by (a/r)^2 of their change there: by 4 % at the nearest side of the usual box.
 """
 
 from __future__ import annotations
@@ -14,15 +13,18 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Ints, SplitMesh
-from fracflow.mesh.read import side_names
+from fracflow.mesh.plane.traces import polygon_area
+from fracflow.mesh.read import GROWTH, side_names
 from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
+from fracflow.reduction.mesh_size import cell_count
+from fracflow.remarks import note
 from fracflow.scene.method import Points
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import Absorbing
+from fracflow.scene.units import LENGTH
 
 MARGIN = 2.0  # of the larger extent of all fractures: rock between them and the sides
 PER_EXTENT = 8.0  # cells far away, over that extent: ten in a wave of the corner frequency of slip along all of it
-FINE = 1e-9  # of a size: round-off
 
 
 def event_scene(scene: Scene) -> Scene:
@@ -40,6 +42,33 @@ def event_scene(scene: Scene) -> Scene:
     keys = {"domain": corners, "size": size / 2**geometry.refine, "refine": 0}
     sides = Absorbing(on=tuple(side_names(np.array(corners))))
     return scene.model_copy(update={"geometry": geometry.model_copy(update=keys), "absorbing": (sides,)})
+
+
+def cells_of_event(scene: Scene) -> float:
+    """Number of cells, about, of the mesh of an unbounded scene's events."""
+    geometry = event_scene(scene).geometry
+    assert geometry is not None and geometry.size is not None
+    traces = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
+    length = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in traces)
+    fine = min(geometry.size, (geometry.size_at_fractures or geometry.size) / 2**scene.refine)
+    area = polygon_area(np.array(geometry.outline))
+    return cell_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
+
+
+def before_events(scene: Scene) -> list[str]:
+    """A line on the mesh that events of an unbounded scene would have, before the first one."""
+    if not scene.is_unbounded or not scene.has_dynamics:
+        return []
+    geometry, unit = event_scene(scene).geometry, scene.unit_system.behind(LENGTH)
+    assert geometry is not None
+    corners = np.array(geometry.outline)
+    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    return [
+        note(
+            f"stage auto: the rock is meshed once an event needs inertia, and stays so: about {cells_of_event(scene):.2g} cells"
+            f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}, with absorbing sides (geometry.event_margin)"
+        )
+    ]
 
 
 def with_event_mesh(

@@ -10,6 +10,7 @@ from fracflow._petsc import MPI, PETSc, timed
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
+from fracflow.reduction.event_mesh import before_events
 from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
 from fracflow.reduction.mesh_size import proposed, unresolved
 from fracflow.scene.scene import Scene
@@ -75,5 +76,5 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     wells = placed.wells
     coarse = on_root(comm, lambda: unresolved(scene, mesh, wells) if mesh is not None and begins else []) or []
     apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
-    notes = (*scene.notes, *coarse, *apart, *placed.notes)
+    notes = (*scene.notes, *coarse, *apart, *placed.notes, *before_events(scene))
     return set_up(scene, comm, mesh, replace(placed, notes=notes, apart=tuple(apart)), cell_rank)

@@ -149,6 +149,9 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
     fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
     if geometry.size is not None and fine > geometry.size:
         yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
+    if geometry.event_margin is not None and not (geometry.is_unbounded and scene.has_dynamics):
+        why = 'is of an "unbounded" domain with a stage "auto", whose events are meshed: remove it'
+        yield ("geometry", "event_margin"), why
     if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
         yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
     known = {*traces, "default"}
