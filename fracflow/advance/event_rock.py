@@ -1,8 +1,9 @@
 """A state handed from rock without a mesh to the same fractures in meshed rock: jumps, tractions and fluid stay as they are.
 
 The displacement of the meshed rock is u = u_J + E v. Walls that move by u_J make the jumps; E v moves all walls of a node as
-one. The rock is in equilibrium for E' (K u + F_s(sigma_0) - R) = 0. The walls then carry another traction than before. The difference is frozen: its forces are added to those of the initial stress. So nothing slips by the
-change of rock itself. Strain energy by which both rocks differ is an entry of the energy balance.
+one. The rock is in equilibrium for E' (K u + F_s(sigma_0) - R) = 0. The walls then carry another traction than before. The
+difference is frozen: its forces are added to those of the initial stress. So nothing slips by the change of rock itself. Strain
+energy by which both rocks differ is an entry of the energy balance.
 """
 
 from __future__ import annotations
