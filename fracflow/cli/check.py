@@ -88,7 +88,8 @@ def _of_event(model: Model) -> float:
     """Seconds of an iteration on the mesh that an event in rock without one gets; 0 of meshed rock."""
     if not model.scene.is_unbounded or not model.scene.has_dynamics:
         return 0.0
-    return direct(int(cells_of_event(model.scene))).seconds * (1.0 + BESIDES) + OWN  # two unknowns a node, of two cells
+    unknowns = int(cells_of_event(model.scene, model.bounded))  # two a node, which two cells have
+    return direct(unknowns).seconds * (1.0 + BESIDES) + OWN
 
 
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:

@@ -64,8 +64,15 @@ def prepare(
         sides = assessed(scene)
         if not comm.bcast(on_root(comm, lambda: is_left_out(sides, saved, undone)), root=0):
             saved = saved if saved is None or is_unmeshed(saved.cells) == scene.is_unbounded else None
-            return replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides)
-        return replace(_prepare(without_sides(scene), comm, saved, cell_rank, begins), sides=sides, bounded=scene)
+            return _with_note(replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides))
+        model = _prepare(without_sides(scene), comm, saved, cell_rank, begins)
+        return _with_note(replace(model, sides=sides, bounded=scene))
+
+
+def _with_note(model: Model) -> Model:
+    """The model with a line on the mesh that its events would have."""
+    notes = (*model.placed.notes, *before_events(model.scene, model.bounded))
+    return replace(model, placed=replace(model.placed, notes=notes))
 
 
 def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
@@ -76,5 +83,5 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     wells = placed.wells
     coarse = on_root(comm, lambda: unresolved(scene, mesh, wells) if mesh is not None and begins else []) or []
     apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
-    notes = (*scene.notes, *coarse, *apart, *placed.notes, *before_events(scene))
+    notes = (*scene.notes, *coarse, *apart, *placed.notes)
     return set_up(scene, comm, mesh, replace(placed, notes=notes, apart=tuple(apart)), cell_rank)
