@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 
 LONGEST = 1500  # letters of a message
 MOST_NAMED = 5  # names that a message lists
@@ -67,6 +68,20 @@ class ReductionInvalid(Exception):
         super().__init__(f"{decision}: time {time:.9g}: {why}")
 
 
+class MeshNeeded(Exception):
+    """An event begins in rock that is not meshed: the run goes on from its last state with a mesh.
+
+    why       it begins
+    progress  of its stage, as ``advance.step.Progress``
+    newton    iterations of Newton's method spent in vain since that state, on so many ``trials`` of steps
+    """
+
+    def __init__(self, why: str, progress: Mapping[str, float], newton: int = 0, trials: int = 0) -> None:
+        """By a stage that has come so far."""
+        super().__init__(why)
+        self.why, self.progress, self.newton, self.trials = why, progress, newton, trials
+
+
 class DiskError(Exception):
     """A file of the run folder cannot be written, or read again: exit code 3, the state that was saved last is on disk."""
 
@@ -90,4 +105,4 @@ def is_alone() -> bool:
     return error is not None and not isinstance(error, _AGREED)
 
 
-_AGREED = (InputError, SolveError, DiskError, ReductionInvalid, Interrupted, GeneratorExit)
+_AGREED = (InputError, SolveError, DiskError, ReductionInvalid, MeshNeeded, Interrupted, GeneratorExit)

@@ -17,7 +17,7 @@ from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.step_error import step_error
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, halvings_given, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
-from fracflow.errors import NotConverged, ReductionInvalid
+from fracflow.errors import MeshNeeded, NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
@@ -37,6 +37,9 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     """All steps of a stage auto, or those after the one with ``progress``. The caller owns the states. Collective.
 
     With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
+
+    Rock without a mesh has no inertia: MeshNeeded is raised, on every rank, where an event begins in it. The stage goes on once
+    the rock is meshed, and finds out again whether there is an event.
 
     A change of regime is a step of no length. Where inertia comes in, the state is in balance except for forces that no
     state at rest balances; these alone start the motion. Where it goes, the kinetic energy is counted as dissipated by
@@ -83,6 +86,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             yield Step(state, number, found.length, report, event.as_progress(waves.place), WAVES)
             continue
         if why := regimes.is_excited(state.time):
+            if model.scene.is_unbounded:
+                raise MeshNeeded(why, event.as_progress(), spent.wasted, spent.rejected)
             log(f"time {state.time:.9g}: an event begins: {why}")
         else:
             tried = regimes.slow_step(state, event)
@@ -96,6 +101,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             if min(tried.length, event.step) > event.least * (1.0 + NEAR):
                 event = replace(event, step=max(0.5 * tried.length, event.least), calm=0.0)
                 continue
+            if model.scene.is_unbounded:
+                raise MeshNeeded(tried.why, event.as_progress(), spent.wasted, spent.rejected)
             regimes.log_onset(state, event.trials + spent.rejected, tried.why)
         entered = stepping.enter(state, regimes.moving, event.least)
         period = longest_period(model.operators, model.loads, state.sections)
@@ -113,10 +120,12 @@ class _Regimes:
         self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
         self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        stepping.explicit.log_steps(self.moving, least)
-        locates = stepping.explicit.locates(self.moving, least) and scene.method.events != "at-step-ends"
-        if not self.moving.explicit:
-            stepping.couplings.expect(self.moving, least)
+        locates = not scene.is_unbounded and scene.method.events != "at-step-ends"
+        if not scene.is_unbounded:
+            stepping.explicit.log_steps(self.moving, least)
+            locates = locates and stepping.explicit.locates(self.moving, least)
+            if not self.moving.explicit:
+                stepping.couplings.expect(self.moving, least)
         events = scene.accuracy.max_events if locates else 0
         step = stepping.by(self.moving)
         step = EventLocated(step, stepping) if events else step

@@ -87,7 +87,7 @@ def equilibrium_state(model: Model) -> State:
     motion, sections, pressure = _unmoved(model)
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
-    energy = empty_balance(ops.terms, ops.joints.dilate)
+    energy = empty_balance(ops.terms, ops.joints.dilate, scene.is_unbounded and scene.has_dynamics)
     state = State(0.0, motion, pressure, sections, holding, controls, energy, friction=friction)
     memory = {term.name: term.memory() for term in ops.terms if term.has_memory}
     state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains}, memory=memory)

@@ -26,10 +26,14 @@ CREEP = 2.0  # times the kinetic energy at the onset: slow slip goes on with no 
 def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
     """Length of a step with inertia, and the longest period of vibration [time].
 
-    By default it is the time of a P wave through a typical joint, at most a share of the period. Raises SolveError where
-    the duration of an event is unknown. Collective.
+    By default it is the time of a P wave through a typical joint, at most a share of the period. Rock without a mesh has
+    none: an S wave's time along and back over the fractures takes its place. Raises SolveError where the duration of an event
+    is unknown. Collective.
     """
-    period = longest_period(model.operators, model.loads, state.sections)
+    if model.scene.is_unbounded:
+        period = _there_and_back(model)
+    else:
+        period = longest_period(model.operators, model.loads, state.sections)
     least = stage.dynamic_time_step or min(transit(model), period / PARTS)
     if not math.isfinite(least + period):
         moduli = [rock.youngs_modulus for rock in deforming(model) if rock.youngs_modulus is not None]
@@ -52,6 +56,21 @@ def transit(model: Model) -> float:
     model.operators.layout.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
     speed = max((_p_speed(rock) for rock in deforming(model)), default=0.0)
     return float(sums[0] / sums[1]) / speed if sums[1] > 0.0 and speed > 0.0 else math.inf
+
+
+def _there_and_back(model: Model) -> float:
+    """Time of an S wave over twice the extent of all fractures, of rock that is not meshed [time]."""
+    block = model.operators.blocks.solid
+    low, high = block.piece_box[:, 0].min(axis=0), block.piece_box[:, 1].max(axis=0)
+    speed = max((_s_speed(rock) for rock in deforming(model)), default=0.0)
+    return 2.0 * float((high - low).max()) / speed if speed > 0.0 else math.inf
+
+
+def _s_speed(rock: Rock) -> float:
+    """c_s [length/time]."""
+    return math.sqrt(
+        (rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)) * (rock.density or math.inf))
+    )
 
 
 def _p_speed(rock: Rock) -> float:
@@ -133,6 +152,12 @@ class EventState:
     def at_rest(self) -> EventState:
         """As an event ends: the first step without inertia lasts a period."""
         return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
+
+
+def on_mesh(progress: Mapping[str, float], model: Model, state: State, stage: Stage) -> EventState:
+    """The event state of a stage whose rock has been meshed since. Raises SolveError as ``begin``. Collective."""
+    event, (least, period) = EventState.of(progress), wave_step(model, state, stage)
+    return replace(event, least=least, period=period, step=max(event.step, least))
 
 
 def begin(model: Model, state: State, stage: Stage) -> EventState:

@@ -19,11 +19,12 @@ from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
+from fracflow.reduction.event_mesh import cells_of_event
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ITERATIONS, break_even, fits
 from fracflow.solve.condensed_cost import planned as solved
-from fracflow.solve.rock_cost import NUMBER, rock_choice, without_solves
+from fracflow.solve.rock_cost import NUMBER, direct, rock_choice, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
 SERIES = 4000.0  # the same for an unknown of compressed rock, by scripts/bench compressed
@@ -86,6 +87,14 @@ def _network(model: Model) -> NetworkCheck:
     return NetworkCheck(snap, [miss.as_record() for miss in misses], parts)
 
 
+def _of_event(model: Model) -> float:
+    """Seconds of an iteration on the mesh that an event in rock without one gets; 0 of meshed rock."""
+    if not model.scene.is_unbounded or not model.scene.has_dynamics:
+        return 0.0
+    unknowns = int(cells_of_event(model.scene, model.bounded))  # two a node, which two cells have
+    return direct(unknowns).seconds * (1.0 + BESIDES) + OWN
+
+
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     """Memory and time of so many steps, by what factors of so many unknowns take; one factorisation is made and timed.
 
@@ -121,7 +130,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
             each += PRODUCTS * product
             made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
-        found |= cost_of_events(model, each, ITERATIONS)
+        found |= cost_of_events(model, _of_event(model) or each, ITERATIONS)
         parts.append(f"{ITERATIONS} iterations a step, each with {made}")
     besides = ["events and searches"] if more else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []

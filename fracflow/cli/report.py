@@ -31,7 +31,7 @@ BOOKS = (
     "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "leak_off",
     "damping", "scheme", "spurious", "dropped",
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
-    "dilation",
+    "dilation", "change_of_rock",
 )  # fmt: skip
 WIDTH = 100  # columns of a table, where the terminal has no fewer
 MOST_EVENTS = 20

@@ -290,7 +290,7 @@ def stiffness(view: CheckInput) -> Number:
 def joint_step(view: CheckInput) -> Number:
     """Time step dt sqrt(k_n/m_rel), m_rel = rho h/4 of the walls: above 1 joints that open and close gain energy."""
     name, formula, joints = "joint time step", "dt omega = dt sqrt(k_n/m_rel)", view.joints
-    if not view.dynamic:
+    if not view.dynamic or view.scene.is_unbounded:
         return Number(name, formula, note="no inertia")
     method = view.scene.method
     if method.stepper == "explicit" or method.contact == "redistributed":

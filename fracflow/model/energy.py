@@ -5,6 +5,7 @@ kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + 
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
 Terms may add entries: on the left, or on the right where their names begin with "work_". Where joints dilate, ``dilation``
 is the work of walls that ride up against what presses them. It is no summand: the dissipation ``friction`` is less it.
+Where rock may be meshed in the course of a run, ``change_of_rock`` is on the left: strain energy of the one less the other.
 """
 
 from __future__ import annotations
@@ -29,12 +30,13 @@ STORED = (
 WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 DILATION = "dilation"
+CHANGE_OF_ROCK = "change_of_rock"
 
 
-def empty_balance(terms: Iterable[Term] = (), dilates: bool = False) -> dict[str, float]:
-    """All entries at zero, those of terms beside the others, and that of joints that dilate."""
-    of_joints = [DILATION] if dilates else []
-    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0)), *of_joints], 0.0)
+def empty_balance(terms: Iterable[Term] = (), dilates: bool = False, is_handed: bool = False) -> dict[str, float]:
+    """All entries at zero, those of terms beside the others, of joints that dilate, and of rock that may be meshed later."""
+    more = [*([DILATION] if dilates else []), *([CHANGE_OF_ROCK] if is_handed else [])]
+    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0)), *more], 0.0)
 
 
 def update_balance(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:

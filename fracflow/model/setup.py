@@ -97,6 +97,7 @@ class Model:
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out
     sides    whether they are; None of a scene that does not let the program choose
+    unmeshed  the model without a mesh that this one has taken the place of; None where there was none
     whole    the model with the fractures that are ``locked``; None where none is
     slow     stages auto, by their numbers, that take the place of dynamic ones
     """
@@ -112,11 +113,12 @@ class Model:
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
     bounded: Scene | None = None
     sides: FarSides | None = None
+    unmeshed: Model | None = None
 
     @property
     def stated_mesh(self) -> SplitMesh:
-        """The mesh with all fractures, as ``mesh``."""
-        mesh = (self.whole or self).mesh
+        """The mesh that the run began with, with all fractures, as ``mesh``."""
+        mesh = (self.unmeshed or self.whole or self).mesh
         assert mesh is not None
         return mesh
 
@@ -398,7 +400,7 @@ def set_up(
     operators = with_terms(assemble(blocks, scene), scene)
     numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
-    if redistributes(scene):
+    if redistributes(scene) and not scene.is_unbounded:
         operators = redistributed(operators, scene, loads, None if mesh is None else whole_mesh(mesh))
     lines = [line for term in operators.terms for line in term.notes]
     lines += operators.far.notes if operators.far is not None else ()

@@ -55,6 +55,7 @@ NOTES = (
 _NO_CHECKPOINT = "is no checkpoint"
 MEMORY = "mean_velocity"
 ANCHOR = "anchor"
+PRESTRESS = "prestress"
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 ENDLESS = ("sections/strength", "sections/margin", "sections/utilisation")  # inf where a joint never fails
 DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
@@ -185,6 +186,21 @@ def state_arrays(operators: Operators, state: State) -> dict[str, Distributed]:
     found |= {f"memory/{name}": orders.joints.of(values) for name, values in state.memory.items()}
     cells = Order(blocks.comm, blocks.solid.cell_ids, blocks.sizes.cells)
     return found | {"cell_rank": cells.of(np.full(cells.count, blocks.comm.rank))}
+
+
+def prestress_array(operators: Operators) -> dict[str, Distributed]:
+    """Forces of the initial stress in original order, with what was frozen as the rock was meshed."""
+    orders, used = _orders(operators.blocks)
+    return {PRESTRESS: orders.solid.of(operators.prestress.getArray(readonly=True)[used])}
+
+
+def restore_prestress(operators: Operators, file: SealedFile | None) -> None:
+    """Those of a ``file`` that rank 0 reads in the place of the initial ones. Raises InputError as below. Collective."""
+    orders, used = _orders(operators.blocks)
+    found = _SavedArrays(operators.blocks.comm, file)
+    if found.layout.get(PRESTRESS, ("", ()))[1] != (orders.solid.total,):
+        raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this mesh ({PRESTRESS}); {AGAIN}")
+    operators.prestress.getArray()[used] = found.rows(PRESTRESS, orders.solid)
 
 
 def open_arrays(path: Path) -> SealedFile:

@@ -162,6 +162,16 @@ def list_steps(folder: str | Path, name: str) -> list[tuple[int, Path]]:
     return sorted((number, path) for number, path in found if number is not None)
 
 
+def set_aside(folder: Path, name: str, other: str) -> None:
+    """Let a family that is there go on under another name, so that one with another mesh may have its own. Raises OSError."""
+    fields, index = folder / "fields", folder / f"{name}.xdmf"
+    for path in (fields / f"{name}_mesh.h5", *(path for _, path in list_steps(folder, name))):
+        path.replace(fields / path.name.replace(name, other, 1))
+    write_atomic(
+        folder / f"{other}.xdmf", index.read_text(encoding="utf-8").replace(f"fields/{name}_", f"fields/{other}_")
+    )
+
+
 def read_mesh(folder: str | Path, name: str) -> tuple[Floats, Ints, dict[str, Any]]:
     """Points (n, 3), cells (m, k) with -1 padding, and the mesh's metadata (JSON is left as text). Raises InputError."""
     path = Path(folder) / "fields" / f"{name}_mesh.h5"

@@ -22,6 +22,7 @@ MARKER = ".fracflow"
 _OWN_FILES = (
     "scene.toml",
     "mesh.h5",
+    "event_mesh.h5",
     "history.h5",
     "history.h5.redo",
     "profiles.h5",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +19,7 @@ from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
 from fracflow.output.history import AT_LIMIT, SHUT
 from fracflow.output.sampling import Columns, Snapshot
-from fracflow.output.unmeshed import AtPoint
+from fracflow.output.unmeshed import AtPoint, with_far
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
@@ -154,6 +154,7 @@ class Cells:
     corners  (m, k) nodes of the cells among these, -1 pads
     motion   (n, 3, 2) displacement, velocity and acceleration of the nodes
     moves    whether there is inertia: without, kinetic energy is zero, as in the energy balance
+    far      (3,) stress that loads add far away, whose strain the motion has not [stress]
     """
 
     scene: Scene
@@ -163,11 +164,16 @@ class Cells:
     corners: Ints
     motion: Floats
     moves: bool = True
+    far: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @cached_property
+    def _moved(self) -> Floats:
+        return with_far(self.scene, self.far, self.points, self.motion[:, 0])
 
     @cached_property
     def strain(self) -> Floats:
         """Strain (m, 4) at the centres."""
-        return rock.strain(self.points, self.corners, self.motion[:, 0])
+        return rock.strain(self.points, self.corners, self._moved)
 
     @cached_property
     def _deforms(self) -> Ints:
@@ -196,7 +202,7 @@ class Cells:
         """Energy (m,) stored since the start per volume; zero in rigid rock."""
         able, result = self._deforms, np.zeros(len(self.numbers))
         result[able] = rock.strain_energy_density(
-            self.scene, self.points, self.corners[able], self.motion[:, 0], self._moduli
+            self.scene, self.points, self.corners[able], self._moved, self._moduli
         )
         return result
 
@@ -234,7 +240,8 @@ class InRock:
         local[corners >= 0] = inverse
         points, motion = self._mesh.points[nodes], np.array([self._snapshot.nodes[int(node)] for node in nodes])
         area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
-        return Cells(self._scene, self._mesh, cells, points, local, motion), area / area.sum()
+        found = Cells(self._scene, self._mesh, cells, points, local, motion, far=self._snapshot.far)
+        return found, area / area.sum()
 
     def __getattr__(self, name: str) -> Floats:
         """Strain (4,), and other values of ``Cells``, as means over the cells around."""

@@ -88,7 +88,7 @@ class _Field:
 
     name    as ``stored`` gives it
     count   of rows
-    motion  (n, 3, 2) of its nodes; ``moves`` as of ``Cells``
+    motion  (n, 3, 2) of its nodes; ``moves`` and ``far`` as of ``Cells``
     """
 
     name: str
@@ -97,6 +97,7 @@ class _Field:
     scene: Scene
     motion: Floats
     moves: bool
+    far: Floats
 
     def __getitem__(self, rows: Ints) -> NDArray[Any]:
         """Values (k, ...) at own nodes, or at cells (k,)."""
@@ -106,7 +107,7 @@ class _Field:
             nodes = SimpleNamespace(displacement=moved[:, 0], velocity=moved[:, 1], acceleration=moved[:, 2])
             return stored({key: quantities("node")[key].formula(nodes)}, None)[self.name]
         block = self.block
-        cells = Cells(self.scene, block, rows, block.points, block.cells[rows], self.motion, self.moves)
+        cells = Cells(self.scene, block, rows, block.points, block.cells[rows], self.motion, self.moves, self.far)
         return stored(None, {key: _of_cells(key, cells, block.cell_rock[rows])})[self.name]
 
     @cached_property
@@ -126,7 +127,7 @@ class _Field:
 
 def _shown(block: SolidBlock, scene: Scene, motion: Floats, state: State) -> dict[str, _Field]:
     """Point data of a rank's own nodes and data of its cells, from the motion (n, 3, 2) of its nodes."""
-    about = block, scene, motion, state.energy["kinetic"] != 0.0
+    about = block, scene, motion, state.energy["kinetic"] != 0.0, far_stress(scene, state.time, state.controls)
     points, cells = _names()
     found = {f"point/{key}": _Field(f"point/{key}", block.owned, *about) for key in points}
     return found | {f"cell/{key}": _Field(f"cell/{key}", len(block.cells), *about) for key in cells}

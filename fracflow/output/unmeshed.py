@@ -27,6 +27,17 @@ def far_stress(scene: Scene, time: float, controls: Mapping[str, float]) -> Floa
     return total
 
 
+def with_far(scene: Scene, far: Floats, points: Floats, moved: Floats) -> Floats:
+    """Displacement (n, 2) of points (n, 2) of meshed rock, with that of intact rock under a stress (3,) far away [length]."""
+    if not far.any():
+        return moved
+    (rock,) = scene.rock.values()
+    assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
+    xx, yy, xy = far / (rock.youngs_modulus / (1.0 + rock.poissons_ratio))
+    mean = rock.poissons_ratio * (xx + yy)
+    return np.asarray(moved + points @ np.array([[xx - mean, xy], [xy, yy - mean]]))
+
+
 def walls(mesh: SplitMesh, place: FracturePlace) -> Floats:
     """Points (2, 2) beside a place on a fracture: on its right, and on its left."""
     joint, end = int(place.joints[0]), int(place.ends[0])

@@ -42,15 +42,17 @@ def why_meshed(scene: Scene) -> str:
     """Why a scene with sides needs them, or a mesh, wherever they are; empty where their distance decides."""
     geometry = scene.geometry
     assert geometry is not None
-    if odd := [stage.title for stage in scene.stage if stage.kind not in ("quasi-static", "steady")]:
+    if odd := [stage.title for stage in scene.stage if stage.kind not in ("auto", "quasi-static", "steady")]:
         return f"stage {odd[0]} has inertia, or begins out of balance"
     if scene.body_force is not None or scene.initial is not None or scene.carries_unbalanced:
         return "a start that is not at rest, or forces on the volume of the rock"
     if any(rock.rigid for rock in scene.rock.values()):
         return "the rock is rigid"
-    if scene.load or scene.tie or scene.term_tables:
+    if scene.load or scene.tie or scene.term_tables.keys() - {"absorbing"}:
         return "loads, ties or terms on its sides, whose work is not counted in rock without sides"
-    held: set[tuple[str, str]] = set()
+    if any(each.waves or each.without_inertia != "held" for each in scene.absorbing):
+        return "absorbing sides that waves come in by, or that are free without inertia"
+    held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
     for support in scene.support:
         if support.displacement is not None or support.displacement_gradient is not None:
             return f"support on {support.on[0]} moves"
@@ -147,14 +149,17 @@ def _tolerance(scene: Scene) -> float:
 
 
 def without_sides(scene: Scene) -> Scene:
-    """The scene in rock without sides; joints at tips that it states no size for are finer, which costs next to nothing."""
+    """The scene in rock without sides.
+
+    Joints at tips that it states no size for are finer, which costs next to nothing, unless waves may have to pass them.
+    """
     assert scene.geometry is not None
     keys: dict[str, object] = {"domain": "unbounded"}
     fine = scene.geometry.size_at_fractures or scene.geometry.size
-    if scene.geometry.size_at_tips is None and fine is not None:
+    if scene.geometry.size_at_tips is None and fine is not None and not scene.has_dynamics:
         keys["size_at_tips"] = fine / AT_TIPS
     geometry = scene.geometry.model_copy(update=keys)
-    return scene.model_copy(update={"geometry": geometry, "support": ()})
+    return scene.model_copy(update={"geometry": geometry, "support": (), "absorbing": ()})
 
 
 def is_left_out(found: FarSides | None, saved: SplitMesh | None, undone: Mapping[str, str]) -> bool:
@@ -169,7 +174,8 @@ def decide_sides(facts: ReductionInput) -> Iterator[Decision]:
     if (sides := facts.sides) is None:
         return
     value = sides.why if not sides.error else sides.error
-    saves = f"nothing: {sides.why}" if sides.why else f"the mesh: {sides.faster:.2g} times faster factorisations"
+    until = ", until an event needs inertia" if facts.scene.has_dynamics else ""
+    saves = f"nothing: {sides.why}" if sides.why else f"the mesh: {sides.faster:.2g} times faster factorisations{until}"
     error = (
         f"of jumps, tractions and pressures, relative to the largest: at most {facts.tolerance:g}, checked in each step"
     )
@@ -178,7 +184,7 @@ def decide_sides(facts: ReductionInput) -> Iterator[Decision]:
 
 def watch_sides(model: Model, state: State) -> None:
     """Raise ReductionInvalid, on every rank, where sides that were left out would change jumps by the tolerance. Collective."""
-    if model.bounded is None:
+    if model.bounded is None or model.unmeshed is not None:
         return
     error, tolerance = error_of_sides(model, state), _tolerance(model.bounded)
     if error > tolerance:

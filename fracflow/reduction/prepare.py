@@ -12,6 +12,7 @@ from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
+from fracflow.reduction.event_mesh import before_events
 from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
 from fracflow.reduction.mesh_size import proposed
 from fracflow.reduction.unresolved import unresolved
@@ -69,8 +70,15 @@ def prepare(
         sides = assessed(scene)
         if not comm.bcast(on_root(comm, lambda: is_left_out(sides, saved, undone)), root=0):
             saved = saved if saved is None or is_unmeshed(saved.cells) == scene.is_unbounded else None
-            return replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides)
-        return replace(_prepare(without_sides(scene), comm, saved, cell_rank, begins), sides=sides, bounded=scene)
+            return _with_note(replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides))
+        model = _prepare(without_sides(scene), comm, saved, cell_rank, begins)
+        return _with_note(replace(model, sides=sides, bounded=scene))
+
+
+def _with_note(model: Model) -> Model:
+    """The model with a line on the mesh that its events would have."""
+    notes = (*model.placed.notes, *before_events(model.scene, model.bounded))
+    return replace(model, placed=replace(model.placed, notes=notes))
 
 
 def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:

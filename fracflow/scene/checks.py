@@ -155,6 +155,9 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
     fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
     if geometry.size is not None and fine > geometry.size:
         yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
+    if geometry.event_margin is not None and not (geometry.is_unbounded and scene.has_dynamics):
+        why = 'is of an "unbounded" domain with a stage "auto", whose events are meshed: remove it'
+        yield ("geometry", "event_margin"), why
     if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
         yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
     known = {*traces, "default"}
@@ -181,9 +184,9 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
         if well.on is not None:
             yield ("well", index, "on"), f"{free} sides: give at = a place on a fracture, or {bounded}"
     for index, stage in enumerate(scene.stage):
-        if stage.kind in ("dynamic", "auto"):
-            why = f'is "{stage.kind}", and {free} cells that have inertia'
-            yield ("stage", index, "kind"), f'{why}: use "quasi-static" or "steady", or {bounded}'
+        if stage.kind == "dynamic":
+            why = f'is "dynamic", and {free} cells that have inertia until an event of a stage auto needs them'
+            yield ("stage", index, "kind"), f'{why}: use "auto", "quasi-static" or "steady", or {bounded}'
     for name, rock in scene.rock.items():
         if rock.rigid:
             yield ("rock", name, "rigid"), f"{free} blocks of their own: remove it, or {bounded}"

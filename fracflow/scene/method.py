@@ -232,6 +232,9 @@ class Geometry(Table):
     between near traces are never under twice as long. If not given, 0.4 % of the median length of traces, whatever the mesh"""
     cells: Literal["triangles", "quads"] = "triangles"
     """shape of the cells"""
+    event_margin: Size | None = None
+    """of an unbounded domain with a stage auto: rock around the fractures that is meshed once an event needs inertia, up to
+    absorbing sides [length]; if not given, twice the larger extent of the fractures"""
     refine: Refine = Field(default=0, description=REFINED)
 
     @property

@@ -73,7 +73,7 @@ class Notices:
         self._totals.fast_slip = 1
         self._doubt(
             f"time {self._scene.time_text(state.time)}: slip of {', '.join(names)} is so fast that waves limit it, and this"
-            f" stage has no inertia: later results leave out what waves do{'' if self._scene.is_unbounded else REMEDY}"
+            f" stage has no inertia: later results leave out what waves do{REMEDY}"
         )
 
     def _limits(self, state: State) -> None:

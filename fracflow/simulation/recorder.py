@@ -3,74 +3,29 @@
 from __future__ import annotations
 
 import errno
-import warnings
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
 
 from fracflow._petsc import MPI, timed
-from fracflow._version import __version__
 from fracflow.advance.step import Step
-from fracflow.diagnostics import as_lines, pre_run_checks
-from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
-from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.slabs import on_rank_0
-from fracflow.mesh.store import mesh_root, save_mesh
-from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
-from fracflow.model.state import State
-from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
-from fracflow.output.catalogue import catalogue_of, instant
-from fracflow.output.checkpoint import restoring, state_arrays, write_checkpoint
-from fracflow.output.events import Chatter
-from fracflow.output.history import read_rows
-from fracflow.output.probes import fracture_fields, measured, probe_record, well_record
-from fracflow.output.profiles import ProfileFile, Timetable, intervals
+from fracflow.output import sampling
+from fracflow.output.checkpoint import prestress_array, state_arrays
+from fracflow.output.probes import fracture_fields
+from fracflow.output.profiles import Timetable, intervals
 from fracflow.output.rock import rock_slabs, shown_rock
 from fracflow.output.slip_at_crossings import crossing_lines
-from fracflow.output.status import FAILED, RUNNING, Status, write_status
-from fracflow.output.vtkhdf import VtkHdf
-from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
-from fracflow.reduction import as_lines as plan_lines
-from fracflow.remarks import marked, note
-from fracflow.scene.quantities import REGIMES, quantities
+from fracflow.output.status import FAILED, Status, write_status
+from fracflow.reduction import ReductionInput, factorisations
+from fracflow.scene.quantities import REGIMES
+from fracflow.simulation.files import Files, Notes
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
-from fracflow.storage.files import read_bytes
-from fracflow.storage.sealed import AGAIN, Slabs, digest
-
-Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
-UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
-EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
-
-
-class Before:
-    """The files beside a checkpoint with ``notes``.
-
-    rows, attrs  of history.h5, up to the checkpoint
-    mesh         root of the seal of mesh.h5, empty without one
-    notes        lines for the user
-    """
-
-    def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
-        """Read them. Raises InputError for a changed file."""
-        seals = notes["seals"]
-        self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
-        self.mesh = mesh_root(folder / "mesh.h5")
-        self.notes = [] if seals else [f"{folder}: {UNSEALED}"]
-        if seals.get("scene", "") not in ("", scene_seal(folder)):
-            self.notes.append(f"{folder}: {EDITED}")
-
-
-def scene_seal(folder: Path) -> str:
-    """Digest of the scene of a run folder, in hexadecimal digits. Raises InputError where there is none."""
-    return digest(read_bytes(folder / "scene.toml", AGAIN)).hex()
-
+from fracflow.storage.sealed import Slabs
 
 KINDS = {name: number for number, name in enumerate(REGIMES)} | {"auto": REGIMES.index("quasi-static")}
 """Regime, or kind of a stage, -> number of ``step/kind``; a stage auto begins without inertia."""
@@ -108,6 +63,15 @@ class Recorder:
             with shown_rock(blocks, mesh):
                 pass
         return on_root(self.comm, work)
+
+    def hand_over(self, model: Model) -> None:
+        """Go on with a model on a mesh that has taken the place of one without. Collective."""
+        self.model = model
+        self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
+        self._notices = Notices(model, self.totals, self.log)
+        with shown_rock(model.operators.blocks, model.mesh) as rock:
+            if rock is not None:
+                self._write(lambda files: files.hand_over(model, rock))
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
@@ -205,7 +169,10 @@ class Recorder:
         if step.progress is None:
             return
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
-        with on_rank_0(self.comm, state_arrays(self.model.operators, step.state)) as arrays:
+        found = state_arrays(self.model.operators, step.state)
+        if self.model.unmeshed is not None:
+            found |= prestress_array(self.model.operators)
+        with on_rank_0(self.comm, found) as arrays:
             if arrays is not None:
                 self._write(lambda files: files.save(step, arrays, about))
         if (files := self.files) is not None:
@@ -252,200 +219,3 @@ class Recorder:
                 with suppress(OSError):
                     file.close()
             files.folder.close()
-
-
-class Files:
-    """The open files of a run folder; rank 0 only."""
-
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, notes: Notes, rock: tuple[Slabs, Slabs]
-    ) -> None:
-        """Make the folder and open history, events and fields, or go on with those there. Raises InputError.
-
-        rock  points and cells that the fields show
-        """
-        assert model.mesh is not None
-        self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
-        self.measured = measured(model.scene, model.mesh, model.placed.probes)
-        before = None if notes is None else Before(folder, notes)  # before anything is cut back
-        scene = (model.bounded or model.stated).dump_toml(folder.resolve())
-        self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
-        try:
-            self._open(model, facts, notes, scene, before)
-            self._open_fields(notes is not None, rock)
-        except BaseException:
-            self.folder.close()
-            raise
-
-    def _open(self, model: Model, facts: ReductionInput, notes: Notes, scene: str, before: Before | None) -> None:
-        write_status(self.folder, Status(RUNNING))
-        self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
-        self.decisions = decide(facts.with_card(self.card))
-        known = before.mesh if before is not None else ""
-        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
-        if notes is None:
-            self.folder.write_text("scene.toml", scene)
-            self.write_plan(self.decisions)
-            self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
-        else:
-            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
-        probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
-        wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}
-        units = model.scene.unit_names
-        noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
-        about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
-        about |= {"fracflow": __version__, "energy_noise": noise}
-        points = {name: self.mesh.points[self.mesh.flow_origin[list(n)]] for name, n in model.placed.wells.items()}
-        self.at_rest = {name: float(initial_pressure(model.scene, each).mean()) for name, each in points.items()}
-        file, begun = self.folder / "history.h5", before
-        # a history that an earlier version began goes on as it is
-        is_known = begun is None or not begun.rows or "volume/injected" in begun.rows
-        self.has_wells = model.operators.flow is not None and bool(points) and is_known
-        self.limited = {
-            well.name
-            for well in model.scene.well
-            if (well.maximum_pressure is not None or well.minimum_pressure is not None)
-            and (begun is None or not begun.rows or f"well/{well.name}/limit" in begun.rows)
-        }
-        self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
-        written = notes["totals"].get("profiles", {}) if notes is not None else {}
-        self.profiles = ProfileFile(self.folder.path, written.get("rows", 0))
-        self._warn([self.profiles.lost] if self.profiles.lost else [])
-        self.scene_seal = scene_seal(self.folder.path)
-        self._warn(before.notes if before is not None else [])
-        fracture, flow, self.inverse = sampling.node_table(self.mesh)
-        raw = self.mesh.origin[self.mesh.joint_bottom.ravel()[np.unique(self.inverse, return_index=True)[1]]]
-        points = self.mesh.points[raw]
-        on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
-        places = {name: p for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
-        nearest = {name: self.mesh.fractures[self.mesh.joint_fracture[p.joints[0]]] for name, p in places.items()}
-        named = {(on[name] or nearest[name], p.flow): name for name, p in places.items()}
-        self.events = EventLog(
-            self.folder / "events.csv",
-            FractureNodes(
-                [self.mesh.fractures[f] for f in fracture],
-                raw,
-                points[:, 0],
-                points[:, 1],
-                [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
-            ),
-            tangents=self.mesh.points.shape[1] - 1,
-        )
-        self.chatter = Chatter(self.events.nodes.fracture)
-        with restoring(self.folder / "checkpoint.h5") if notes is not None else nullcontext():
-            self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
-            if notes is not None:
-                self.events.remember(notes["events"])
-        self.count, self.is_ended = len(flow), False
-        # a tip has no jump: what its law does with a stress past its strength is no slip
-        is_apart = (self.mesh.joint_bottom != self.mesh.joint_top).ravel()
-        self.parts = np.bincount(self.inverse, is_apart, self.count) > 0.0
-        self.extra: int | None = None
-        self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
-
-    def _open_fields(self, resumes: bool, rock: tuple[Slabs, Slabs]) -> None:
-        path, names = self.folder.path, {"rocks": list(self.mesh.rocks)}
-        self.rock = FieldWriter(path, "rock", *rock, names, resumes)
-        ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
-        lines = np.arange(len(ends)).reshape(-1, 2)
-        self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
-        self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
-        self.rock.forget_mesh()
-        self._warn([*self.rock.left_out, *self.fractures.left_out])
-
-    def _warn(self, lines: list[str]) -> None:
-        """Lines on a folder whose run is restarted, for log and terminal."""
-        for line in lines:
-            self.folder.log(note(line))
-            warnings.warn(line, stacklevel=2)
-
-    def write_plan(self, decisions: list[Decision]) -> None:
-        """Write plan.json: the parts that are modelled or left out, and the pre-run checks."""
-        self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
-
-    def save(self, step: Step, arrays: Mapping[str, Slabs], about: Mapping[str, Any]) -> None:
-        """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
-        self.folder.check(is_thorough=True)
-        state = step.state
-        here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
-        notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.wells_at_limit), "shut": list(state.wells_shut)}
-        notes |= {"last_step": state.previous_step.time_step}
-        notes |= {"through": dict(state.previous_step.through)}
-        notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
-        notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
-        notes |= {"volumes": asdict(state.volumes)}
-        memory = {"events": self.events.memory(), "fracflow": __version__}
-        memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
-        seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
-        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
-
-    def append(self, step: Step, snapshot: sampling.Snapshot | None, kind: int) -> None:
-        """One row of history and the events up to it; ``kind`` is that of ``step/kind``. Raises OSError."""
-        assert snapshot is not None
-        self.folder.check()
-        state = step.state
-        # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
-        began = state.time if self.time is None or step.report.located else self.time
-        self.time = state.time
-        at = Recorded(step, snapshot, kind)
-        record = {row.name: row.formula(at) for row in quantities("run").values()}
-        record |= {f"step/control/{name}": value for name, value in state.controls.items()}
-        record |= {f"energy/{name}": value for name, value in state.energy.items()}
-        record |= {f"volume/{name}": value for name, value in state.left.items()}
-        wells = (snapshot, self.at_rest, self.limited)
-        record |= well_record(self.scene, state, *wells) if self.has_wells else {}
-        places = self.placed.probes
-        self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
-
-        to = self.inverse, self.count
-        sliding, is_open = (self.parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
-        if line := self.chatter.update(step.stage, is_open):
-            when = f"time {self.scene.time_text(state.time)}: stage {self.scene.stage[step.stage].title}"
-            self.folder.log(marked(f"{when}: {line}: {self._advice()}"))
-        slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
-        self.events.update(state.time, sliding, is_open, slip, rate, began)
-        if self.catalogue is not None:
-            moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
-            if event := self.catalogue.update(instant(state, snapshot, began), moves):
-                self.events.add(event)
-
-    def _advice(self) -> str:
-        if self.scene.method.contact == "lumped" and not self.scene.has_flow:
-            return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
-        return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
-
-    def end(self) -> None:
-        """Close history and events. Raises OSError."""
-        self.history.close()
-        self.profiles.close()
-        if not self.is_ended:
-            self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
-            if self.vtkhdf is not None:
-                self.vtkhdf.close()
-        self.is_ended = True
-
-    def drop_extra(self, index: int | None) -> None:
-        """Remove extra fields, but keep those of a step ``index``, which are removed next."""
-        if self.extra is not None and self.extra != index:
-            self.rock.drop(self.extra)
-            self.fractures.drop(self.extra)
-            if self.vtkhdf is not None:
-                self.vtkhdf.update(is_last=True)  # its data have gone
-        self.extra = index
-
-    def fields(self, index: int, state: State, values: Mapping[str, Any], rock: Mapping[str, Slabs]) -> None:
-        """Fields of fractures at ends (joints, 2, k) and, unless there are none, of the rock for ParaView."""
-        if rock:
-            self.rock.write_stored(index, state.time, rock)
-        self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
-        if self.vtkhdf is not None:
-            self.vtkhdf.update()
-
-
-class Recorded(NamedTuple):
-    """A step as formulas of the whole run take it; see ``scene.quantities``."""
-
-    step: Step
-    snapshot: sampling.Snapshot
-    kind: int

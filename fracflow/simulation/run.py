@@ -11,22 +11,26 @@ from fracflow._petsc import MPI, timed
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
+from fracflow.advance.event_rock import handed_over
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
+from fracflow.advance.regime import on_mesh
 from fracflow.advance.stage import first_substep, refuse_moved, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
-from fracflow.errors import DiskError, InputError, Interrupted, ReductionInvalid, SolveError, is_alone
-from fracflow.mesh.data import SplitMesh
+from fracflow.errors import DiskError, InputError, Interrupted, MeshNeeded, ReductionInvalid, SolveError, is_alone
+from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
-from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_state, restoring
+from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_prestress, restore_state, restoring
+from fracflow.output.drawing.axes import shown
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
+from fracflow.reduction.event_mesh import with_event_mesh
 from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
@@ -34,6 +38,8 @@ from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
+from fracflow.scene.units import STRESS
+from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.observer import Observer, observer_of
 from fracflow.simulation.recorder import Recorder
@@ -41,7 +47,7 @@ from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import set_defaults
 from fracflow.solve.rock_cost import rock_choice
-from fracflow.storage.sealed import AGAIN
+from fracflow.storage.sealed import AGAIN, SealedFile
 
 OnStep = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
@@ -151,15 +157,20 @@ def resume(
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
-        cell_rank = on_root(
-            comm, lambda: arrays.each("cell_rank", mesh.children) if arrays and mesh and is_as_before else None
-        )
-        model = prepare(scene, comm, mesh, cell_rank, begins=False, undone=notes["totals"]["undone"])
+        event_seal = notes["seals"].get("event_mesh", "")
+        event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if event_seal else None)
+        cell_rank = on_root(comm, lambda: _partition(arrays, event_mesh or mesh) if is_as_before else None)
+        first_rank = None if event_seal else cell_rank
+        model = prepare(scene, comm, mesh, first_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
-        model, facts = planned(model, notes["totals"]["undone"], cell_rank)
+        model, facts = planned(model, notes["totals"]["undone"], first_rank)
+        if event_seal:
+            model = with_event_mesh(model, comm, event_mesh, cell_rank)
         with restoring(saved):
             check_stage(notes, [stage.kind for stage in scene.stage])
             refuse_moved(scene, notes["stage"], notes["progress"], notes["time"])
+            if event_seal:
+                restore_prestress(model.operators, arrays)
             state = restore_state(model.operators, arrays, notes)
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)
@@ -175,6 +186,11 @@ def resume(
             return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
         except ReductionInvalid as needed:
             undone, ready = {**undone, **needed.undone}, None
+
+
+def _partition(arrays: SealedFile | None, mesh: SplitMesh | None) -> Ints | None:
+    """Rank (cells,) of each cell of a mesh before its cells are cut, as a run recorded it, on rank 0; else None."""
+    return arrays.each("cell_rank", mesh.children) if arrays is not None and mesh is not None else None
 
 
 def has_ended(folder: Path) -> bool:
@@ -216,17 +232,14 @@ def of_stage(stage: Stage, error: SolveError, scene: Scene | None = None) -> Sol
 def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
-    layout = model.operators.layout
-    rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]))
-    set_defaults(model.scene.petsc, rock, layout.comm.size)
-    if rock.by_multigrid:
-        recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))
-    stepping = Stepping(model, recorder.log)
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)
     try:
         recorder.check()
-        step, failure = _steps(stepping, recorder, step, observer)
+        step, failure = _stepped(model, recorder, step, observer)
+        while isinstance(failure, MeshNeeded):
+            model, step = _on_event_mesh(model, recorder, step, failure)
+            step, failure = _stepped(model, recorder, step, observer, is_on_record=False)
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
@@ -237,11 +250,53 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
         recorder.check()
     finally:
         recorder.close()
-        if not is_alone():
-            stepping.destroy()
     if failure is not None:
         raise failure
     return recorder.totals
+
+
+def _stepped(
+    model: Model, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool = True
+) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
+    """All steps of a model, by solvers of its own; as ``_steps``. Collective."""
+    layout = model.operators.layout
+    rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]))
+    set_defaults(model.scene.petsc, rock, layout.comm.size)
+    if rock.by_multigrid:
+        recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))
+    stepping = Stepping(model, recorder.log)
+    try:
+        return _steps(stepping, recorder, step, observer, is_on_record)
+    finally:
+        if not is_alone():
+            stepping.destroy()
+
+
+@timed("FracSetUp", "Set up")
+def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNeeded) -> tuple[Model, Step]:
+    """The model on the mesh that an event needs, and its first state on record. Raises InputError, SolveError. Collective."""
+    scene, state = model.scene, step.state
+    recorder.save(step)  # Gmsh may fail
+    recorder.log(f"time {scene.time_text(state.time)}: an event needs inertia: {needed.why}: the rock is meshed")
+    new = with_event_mesh(model, recorder.comm)
+    found = handed_over(model, new, state)
+    event = on_mesh(needed.progress, new, found.state, scene.stage[step.stage])
+    state.destroy()
+    recorder.hand_over(new)
+    sizes, units = new.operators.blocks.sizes, scene.unit_names
+    mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))
+    stored = found.state.energy["rock_strain"]
+    share = abs(found.energy / stored) if stored else 0.0
+    recorder.log(
+        note(
+            f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes; at the same jumps its stress on the fractures differs by"
+            f" {mean} in the mean, {most} at the most, which is frozen; its strain energy by {found.energy:.3g} per"
+            f" thickness, {share:.2g} of it: energy/change_of_rock"
+        )
+    )
+    for line in new.placed.notes:
+        recorder.log(marked(line))
+    return new, replace(step, state=found.state, progress=event.as_progress())
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -252,14 +307,21 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 @timed("FracSteps", "Steps")
 def _steps(
-    stepping: Stepping, recorder: Recorder, step: Step, observer: Observer
-) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
-    """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
+    stepping: Stepping, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool
+) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
+    """Make and record all remaining steps; return the last one, and the cause of an early end. Collective.
+
+    Where an event needs a mesh, the step returned takes no time and is not on record.
+    """
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
     going_on = step.progress or {}
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
+            if not is_on_record:
+                recorder.record(step)
+                recorder.save(step)
+                observer(step)
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
@@ -304,6 +366,9 @@ def _steps(
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise
+        except MeshNeeded as needed:
+            spent = StepReport(rejected=needed.trials, wasted=needed.newton)
+            return Step(state, number, 0.0, spent, needed.progress, "quasi-static"), needed
         except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
             failure = error
             if isinstance(error, SolveError):

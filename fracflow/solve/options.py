@@ -46,6 +46,7 @@ OPTIONS: dict[str, dict[str, Value]] = {
     "mass": {"ksp_type": "cg", "pc_type": "jacobi", "ksp_rtol": 1e-14, "ksp_max_it": 1000},
     "condensed": {"ksp_type": "preonly", "pc_type": "cholesky"},  # the rock with elastic joints is positive definite
     "period": DIRECT,
+    "handed": DIRECT,
     "stability": DIRECT,
     "explicit": {"ksp_type": "preonly", "pc_type": "lu"},  # the pressures of an explicit step
 }

@@ -9,7 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.errors import Interrupted
 from fracflow.mesh.data import is_unmeshed
 from fracflow.mesh.store import load_mesh
-from fracflow.output import read_history
+from fracflow.output import read_events, read_history
 from fracflow.reduction import far_sides
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import resume, run
@@ -138,9 +138,53 @@ def test_a_run_without_sides_goes_on(shared_tmp, dear_meshes):
     compare(one, other)
 
 
+def slipping(**changes):
+    """A fault that pressure lets go, with sides that absorb."""
+    fault = {"name": "fault", "points": [[-10, 0], [10, 0]]}
+    law = {
+        "friction_coefficient": 0.6, "stick_slip_ratio": 0.9, "normal_stiffness": "50 GPa/m", "shear_stiffness": "20 GPa/m",
+        "aperture": "0.2 mm", "pressure": [[0, 0], [1000, 4e6]],
+    }  # fmt: skip
+    data = {
+        "rock": {"rock": {"youngs_modulus": 3e10, "poissons_ratio": 0.25, "density": 2700.0}},
+        "initial_stress": {"xx": -20e6, "yy": -20e6, "zz": -20e6, "xy": 11e6},
+        "fluid": {"viscosity": 1e-3, "initial_pressure": 0},
+        "geometry": {"domain": [-170, -170, 170, 170], "size": 34, "size_at_fractures": 2, "fracture": [fault]},
+        "support": [], "absorbing": [{"on": SIDES}], "well": [], "fracture": {"fault": law},
+        "probe": [{"name": "p", "at": [0, 0], "on": "fault", "quantities": ["slip"]}],
+        "method": {"stepper": "generalised-alpha", "rho_infinity": 0.6, "events": "at-step-ends"},
+        "stage": [{"kind": "auto", "end": 421.8, "time_step": 20, "dynamic_time_step": 3e-3, "at_rest": 0.1}],
+        "output": {"pictures": False, "event_length": 1},
+    }  # fmt: skip
+    return scene_of(**data | changes)
+
+
+@pytest.mark.serial
+def test_an_event_brings_the_sides_back(tmp_path, dear_meshes):
+    """Before it the rock is not meshed; then the sides are those of the scene."""
+    run(slipping(), tmp_path / "free")
+    run(slipping(model="full"), tmp_path / "full")
+    found = row(tmp_path / "free")
+    assert found["verdict"] == "left out" and "until an event needs inertia" in found["saves"]
+    before, after = (load_mesh(tmp_path / "free" / name) for name in ("mesh.h5", "event_mesh.h5"))
+    assert is_unmeshed(before.cells) and np.abs(after.points).max() == 170.0
+    events = [
+        [each for each in read_events(tmp_path / name / "events.csv") if each["kind"] == "event"]
+        for name in ("free", "full")
+    ]
+    (free,), (full,) = events
+    for key, near in {"start": 1e-3, "slip": 0.02, "moment": 0.02, "dissipated": 0.03}.items():
+        assert free[key] == pytest.approx(full[key], rel=near), key
+
+
 KEPT = {
     "not asked": {"model": "full"},
-    "inertia": {"stage": [{"kind": "auto", "time_step": 1.0, "end": 2.0}]},
+    "inertia": {"stage": [{"kind": "dynamic", "time_step": 1.0, "steps": 2}]},
+    "waves come in": {
+        "stage": [{"kind": "auto", "time_step": 1.0, "end": 2.0}],
+        "support": [],
+        "absorbing": [{"on": "west", "wave": {"velocity": [[0, 0], [1, 1e-3]]}}],
+    },
     "volume": {"body_force": {"y": -1.0}},
     "loads": {"load": [{"on": "west", "traction": "initial-stress"}]},
     "moves": {"support": [{"on": SIDES, "displacement": {"x": 1e-3, "y": 0.0}}]},

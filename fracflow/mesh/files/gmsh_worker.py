@@ -144,7 +144,7 @@ def _arrays(
 
 
 def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
-    """Mesh a polygon with triangles so that the edges inside it are edges of cells."""
+    """Mesh a polygon with triangles so that the edges inside it are edges of cells, each a single one if ``whole`` asks."""
     points = np.array(job["points"], dtype=float)
     # Gmsh's tolerances are absolute: work on a domain of size one. A power of two scales without rounding.
     corner = points.min(axis=0)
@@ -158,6 +158,8 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     round_it = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["sides"].values()]
     curves = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["traces"].values()]
     surface = geo.addPlaneSurface([geo.addCurveLoop([line for lines in round_it for line in lines])])
+    for line in (line for lines in curves for line in lines if job.get("whole")):
+        geo.mesh.setTransfiniteCurve(line, 2)
     around = [(fine * scale, reach * scale, added(places)) for fine, reach, places in job["sources"]]
     geo.synchronize()
     gmsh.model.mesh.embed(1, [line for lines in curves for line in lines], 2, surface)

@@ -1,0 +1,212 @@
+"""A state handed from rock without a mesh to the same fractures in meshed rock: jumps, tractions and fluid stay as they are.
+
+The displacement of the meshed rock is u = u_J + E v. Walls that move by u_J make the jumps; E v moves all walls of a node as
+one. The rock is in equilibrium for E' (K u + F_s(sigma_0) - R) = 0. The walls then carry another traction than before. The
+difference is frozen: its forces are added to those of the initial stress. So nothing slips by the change of rock itself. Strain
+energy by which both rocks differ is an entry of the energy balance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow._petsc import MPI, PETSc, destroy
+from fracflow.elements import facet
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.balance import static_balance
+from fracflow.model.energy import CHANGE_OF_ROCK
+from fracflow.model.layout import matrix_of
+from fracflow.model.operators import Operators
+from fracflow.model.setup import Model, on_root
+from fracflow.model.solid import nodal_force
+from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
+from fracflow.solve.initial_rates import with_diagonal
+from fracflow.solve.options import solver_of
+
+
+@dataclass(frozen=True)
+class Handed:
+    """A state in meshed rock, and what it has left behind.
+
+    mean    of the frozen traction along the fractures, root of its mean square [stress]
+    most    of it at a node [stress]
+    energy  strain energy of the meshed rock above that of the other [energy per thickness]
+    """
+
+    state: State
+    mean: float
+    most: float
+    energy: float
+
+
+def handed_over(old: Model, new: Model, state: State) -> Handed:
+    """A state at rest of ``old``, on the joints of ``new``, whose initial stress takes up the difference. Collective."""
+    ops, before = new.operators, old.operators
+    loads = new.loads.standing()
+    load = ops.layout.solid_vector()
+    loads.force(state.time, state.controls, load)
+    still = load.copy()
+    still.axpy(-1.0, ops.prestress)
+    nothing = ops.layout.solid_vector()
+    walls = [_at_walls(old, new, vector) for vector in (state.motion.displacement, state.motion.velocity)]
+    rock = _Rock(ops, loads.held)
+    displacement, velocity = (rock.around(wall, force) for wall, force in zip(walls, (still, nothing), strict=True))
+    rock.destroy()
+
+    pressure = _moved_flow(before, ops, state.pressure)
+    sections = _moved_sections(before, ops, state.sections)
+    term = displacement.duplicate()
+    ops.stiffness.mult(displacement, term)
+    stored = 0.5 * float(term.dot(displacement)) + float(ops.prestress.dot(displacement))
+    left = static_balance(ops, displacement, sections.traction, pressure, load)
+    support = left.copy()
+    loads.release(left)
+    support.axpy(-1.0, left)
+    ops.prestress.axpy(-1.0, left)
+    mean, most = _as_traction(ops, left)
+    destroy(still, nothing, left, term, *walls)
+
+    more = stored - state.energy["rock_strain"]
+    energy = {**state.energy, "rock_strain": stored, CHANGE_OF_ROCK: state.energy.get(CHANGE_OF_ROCK, 0.0) - more}
+    forces = Forces(
+        load, support, *(_moved_flow(before, ops, each) for each in (state.forces.conduction, state.forces.source))
+    )
+    handed = replace(
+        state,
+        motion=Motion(displacement, velocity, ops.layout.solid_vector()),
+        pressure=pressure,
+        sections=sections,
+        forces=forces,
+        energy=energy,
+        friction=_of_sections(before, ops, state.friction),
+        previous_step=PreviousStep(),
+        uptake=None if state.uptake is None else _moved_flow(before, ops, state.uptake),
+        memory={name: _of_joints(before, ops, values) for name, values in state.memory.items()},
+    )
+    return Handed(handed, mean, most, more)
+
+
+def _at_walls(old: Model, new: Model, vector: PETSc.Vec) -> PETSc.Vec:
+    """Displacements of the walls of ``old`` as those of ``new``, none elsewhere, in a new vector. Collective."""
+    ops, moved = new.operators, old.operators.gathered(vector)
+
+    def work() -> tuple[Ints, Floats]:
+        assert old.mesh is not None and new.mesh is not None and moved is not None
+        there, here = (np.concatenate([m.joint_bottom, m.joint_top]).ravel() for m in (old.mesh, new.mesh))
+        nodes, first = np.unique(here, return_index=True)
+        return nodes, moved[there[first]]
+
+    nodes, values = ops.layout.comm.bcast(on_root(ops.layout.comm, work), root=0)
+    block, result = ops.blocks.solid, ops.layout.solid_vector()
+    own = block.node_ids[: block.owned]
+    here = np.flatnonzero(np.isin(own, nodes))
+    start = result.getOwnershipRange()[0]
+    result.getArray()[block.unknown[here] - start] = values[np.searchsorted(nodes, own[here])]
+    return result
+
+
+class _Rock:
+    """The rock whose walls at a node move as one: E' K E, factored. ``held`` are local numbers of held unknowns."""
+
+    def __init__(self, ops: Operators, held: Ints) -> None:
+        """Collective."""
+        self.ops, block, comm = ops, ops.blocks.solid, ops.layout.comm
+        start, last = (int(block.unknown_starts[comm.rank + k]) for k in (0, 1))
+        own = block.node_ids[: block.owned]
+        copies = np.flatnonzero(own != block.origin[: block.owned])
+        wanted = np.unique(np.concatenate(comm.allgather(block.origin[copies])))
+        here = np.flatnonzero(np.isin(own, wanted))
+        parts = comm.allgather((own[here], block.unknown[here]))
+        ids, numbers = (np.concatenate(part) for part in zip(*parts, strict=True))
+        order = np.argsort(ids)
+        column = np.arange(start, last)
+        column[(block.unknown[copies] - start).ravel()] = numbers[order][
+            np.searchsorted(ids[order], block.origin[copies])
+        ].ravel()
+        sizes = ops.stiffness.getSizes()
+        self.walls = matrix_of(sizes, (np.arange(last - start + 1), column, np.ones(last - start)), comm)
+        self.still = np.union1d(held, (block.unknown[copies] - start).ravel())
+        product = ops.stiffness.PtAP(self.walls)
+        self.stiff = with_diagonal(product)
+        self.stiff.zeroRowsColumns((start + self.still).astype(PETSc.IntType), 1.0)
+        product.destroy()
+        self.solver = solver_of(self.stiff, "handed_")
+
+    def around(self, walls: PETSc.Vec, force: PETSc.Vec) -> PETSc.Vec:
+        """The displacement that has the jumps of ``walls``, in equilibrium with a force, in a new vector. Collective."""
+        pull, right, moved = walls.duplicate(), walls.duplicate(), walls.duplicate()
+        self.ops.stiffness.mult(walls, pull)
+        pull.aypx(-1.0, force)
+        self.walls.multTranspose(pull, right)
+        right.getArray()[self.still] = 0.0
+        self.solver.solve(right, moved)
+        self.walls.mult(moved, right)
+        right.axpy(1.0, walls)
+        destroy(pull, moved)
+        return right
+
+    def destroy(self) -> None:
+        """Collective."""
+        destroy(self.walls, self.stiff, self.solver)
+
+
+def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
+    """Root of the mean square, and the largest, of the traction (4.4b) that forces on walls stand for. Collective."""
+    blocks = ops.blocks
+    faces = np.concatenate([blocks.joints.bottom, blocks.joints.top], axis=1)
+    _, length = facet.frame(blocks.solid.points[blocks.joints.bottom])
+    half = np.broadcast_to(0.5 * length[:, None, None], (*faces.shape, blocks.sizes.dim))
+    size = nodal_force(blocks, faces, half.copy(), ops.expand)
+    on = size.getArray()
+    here = on > 0.0
+    traction = force.getArray(readonly=True)[here] / on[here]
+    sums = ops.layout.comm.allreduce(np.array([on[here] @ traction**2, on[here].sum()]))
+    most = ops.layout.comm.allreduce(float(np.abs(traction).max(initial=0.0)), op=MPI.MAX)
+    size.destroy()
+    return float(np.sqrt(sums[0] / max(sums[1], 1e-300))), most
+
+
+def _by_ids(comm: MPI.Comm, ids: Ints, values: NDArray[Any], wanted: Ints) -> NDArray[Any]:
+    """Rows (n, ...) of the numbers wanted (n,), of rows (m, ...) that ranks have by their numbers (m,). Collective."""
+    parts = comm.allgather((ids, values))
+    known, rows = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.argsort(known)
+    return np.asarray(rows[order][np.searchsorted(known[order], wanted)])
+
+
+def _moved_flow(old: Operators, new: Operators, vector: PETSc.Vec) -> PETSc.Vec:
+    result = new.layout.flow_vector()
+    if new.flow is not None:
+        local = vector.getArray(readonly=True)
+        result.setArray(_by_ids(new.layout.comm, old.blocks.flow.ids, local, new.blocks.flow.ids))
+    return result
+
+
+def _of_joints(old: Operators, new: Operators, values: NDArray[Any]) -> NDArray[Any]:
+    """Rows (j, ...) of the joints that this rank has now. Collective."""
+    return _by_ids(new.layout.comm, old.blocks.joints.ids, values, new.blocks.joints.ids)
+
+
+def _of_sections(old: Operators, new: Operators, values: NDArray[Any]) -> NDArray[Any]:
+    """Likewise, values (s, ...) of sections."""
+    of_joint = values.reshape(len(old.blocks.joints.ids), old.joints.points, *values.shape[1:])
+    found = _of_joints(old, new, of_joint)
+    return found.reshape(len(found) * old.joints.points, *values.shape[1:])
+
+
+def _moved_sections(old: Operators, new: Operators, sections: Sections) -> Sections:
+    parts = {f.name: getattr(sections, f.name) for f in fields(Sections) if f.name != "history"}
+    moved: dict[str, Any] = {name: _of_sections(old, new, values) for name, values in parts.items()}
+    history = []
+    for before, group, past in zip(old.joints.laws, new.joints.laws, sections.history, strict=True):
+        known = {}
+        for name, values in past.items():
+            everywhere = np.zeros((len(old.joints.weights), *values.shape[1:]))
+            everywhere[before.sections] = values
+            known[name] = _of_sections(old, new, everywhere)[group.sections]
+        history.append(known)
+    return Sections(history=tuple(history), **moved)

@@ -1,0 +1,105 @@
+"""The mesh that rock without one gets once an event needs inertia: its sides, its sizes, and the model of it.
+
+An unbounded domain has a box around its fractures with absorbing sides. At a distance r from a fracture of half length a an
+event changes stresses by (a/r)^2 of their change there: by 4 % at the nearest side of the usual box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.mesh.around import mesh_around
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.plane.traces import polygon_area
+from fracflow.mesh.read import GROWTH, side_names
+from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
+from fracflow.reduction.mesh_size import ACROSS, cell_count
+from fracflow.remarks import note
+from fracflow.scene.method import Points
+from fracflow.scene.scene import Scene
+from fracflow.scene.terms import Absorbing
+from fracflow.scene.units import LENGTH
+
+MARGIN = 2.0  # of the larger extent of all fractures: rock between them and the sides
+PER_EXTENT = 8.0  # cells far away, over that extent: ten in a wave of the corner frequency of slip along all of it
+
+
+def event_scene(scene: Scene, bounded: Scene | None = None) -> Scene:
+    """The unbounded scene with the outline, the sides and the sizes of the mesh of its events.
+
+    bounded  the scene as its file has it, where the plan has left out its sides
+    """
+    assert scene.geometry is not None
+    geometry = scene.geometry
+    points = np.array([point for trace in geometry.fracture for point in trace.points])
+    extent = float(np.ptp(points, axis=0).max())
+    fine = geometry.size_at_fractures or geometry.size or extent
+    if bounded is not None:
+        assert bounded.geometry is not None
+        corners, sides = bounded.geometry.outline, {"support": bounded.support, "absorbing": bounded.absorbing}
+        size = bounded.geometry.size or float(np.ptp(np.array(corners), axis=0).min()) / ACROSS
+    else:
+        margin = MARGIN * extent if geometry.event_margin is None else geometry.event_margin
+        corners = _box(points.min(axis=0) - margin, points.max(axis=0) + margin)
+        sides = {"absorbing": (Absorbing(on=tuple(side_names(np.array(corners)))),)}
+        size = geometry.size or extent / PER_EXTENT
+    keys = {"domain": corners, "size": max(size, fine) / 2**geometry.refine, "refine": 0}
+    return scene.model_copy(update={"geometry": geometry.model_copy(update=keys), **sides})
+
+
+def _box(low: Floats, high: Floats) -> Points:
+    (left, bottom), (right, top) = low.tolist(), high.tolist()
+    return (left, bottom), (right, bottom), (right, top), (left, top)
+
+
+def cells_of_event(scene: Scene, bounded: Scene | None = None) -> float:
+    """Number of cells, about, of the mesh of an unbounded scene's events; ``bounded`` as above."""
+    geometry = event_scene(scene, bounded).geometry
+    assert geometry is not None and geometry.size is not None
+    traces = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
+    length = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in traces)
+    fine = min(geometry.size, (geometry.size_at_fractures or geometry.size) / 2**scene.refine)
+    area = polygon_area(np.array(geometry.outline))
+    return cell_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
+
+
+def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]:
+    """A line on the mesh that events of an unbounded scene would have, before the first one; ``bounded`` as above."""
+    if not scene.is_unbounded or not scene.has_dynamics:
+        return ()
+    geometry, unit = event_scene(scene, bounded).geometry, scene.unit_system.behind(LENGTH)
+    assert geometry is not None
+    corners = np.array(geometry.outline)
+    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    sides = "with absorbing sides (geometry.event_margin)" if bounded is None else "with the sides of the scene"
+    cells = f"about {cells_of_event(scene, bounded):.2g} cells"
+    return (
+        note(
+            f"stage auto: the rock is meshed once an event needs inertia, and stays so: {cells}"
+            f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}, {sides}"
+        ),
+    )
+
+
+def with_event_mesh(
+    model: Model, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None
+) -> Model:
+    """The model of the same scene on the mesh of its events. Raises InputError, on every rank. Collective.
+
+    saved, cell_rank  mesh and partition (cells,) of an earlier run, on rank 0
+    """
+    scene = event_scene(model.scene, model.bounded)
+
+    def work() -> SplitMesh:
+        assert model.mesh is not None
+        return saved or mesh_around(geometry_of(scene), model.mesh)
+
+    with naming(scene):
+        mesh = on_root(comm, work)
+        placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+        assert placed is not None
+        found = set_up(scene, comm, mesh, replace(placed, notes=()), cell_rank)
+    return replace(found, stated=model.stated, sides=model.sides, bounded=model.bounded, unmeshed=model)

@@ -1,0 +1,75 @@
+"""Events in rock that is meshed once they need it, against a mesh from the start: event_mesh.py [MARGIN...].
+
+Pressure lets a fault of 100 m go that weakens with slip. Both runs have absorbing sides, MARGIN metres away, and cells
+of 12.5 m there. Prints for each margin the differences of slip and moment, and CPU seconds of both runs. Exit code 1 where a
+difference is above 2 %. The defaults take 80 CPU s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fracflow.api import run
+from fracflow.scene.scene import Scene
+
+MOST = 0.02  # of slip and moment
+FAULT = {
+    "law": "slip-weakening", "friction_coefficient": 0.6, "dynamic_friction_coefficient": 0.5,
+    "slip_weakening_distance": 2e-3, "normal_stiffness": 50e9, "shear_stiffness": 20e9, "aperture": 2e-4,
+    "pressure": [[0, 0], [1000, 4e6]],
+}  # fmt: skip
+
+
+def scene(margin: float, is_meshed: bool) -> Scene:
+    """The fault in rock that is meshed from the start, or once its event needs that."""
+    domain = [-50.0 - margin, -margin, 50.0 + margin, margin] if is_meshed else "unbounded"
+    sides: dict[str, Any] = {"absorbing": [{"on": ["west", "east", "south", "north"]}], "model": "full"}
+    return Scene.from_data(
+        {
+            "geometry": {
+                "domain": domain, "size": 12.5, "size_at_fractures": 5.0, "growth": 0.3,
+                "fracture": [{"name": "fault", "points": [[-50.0, 0.0], [50.0, 0.0]]}],
+                **({} if is_meshed else {"event_margin": margin}),
+            },
+            "rock": {"rock": {"youngs_modulus": 30e9, "poissons_ratio": 0.25, "density": 2700.0}},
+            "initial_stress": {"xx": -20e6, "yy": -20e6, "zz": -20e6, "xy": 11e6},
+            "fluid": {"viscosity": 1e-3, "initial_pressure": 0.0},
+            "fracture": {"fault": FAULT},
+            "method": {"stepper": "generalised-alpha", "rho_infinity": 0.8, "events": "at-step-ends"},
+            "output": {"pictures": False, "event_length": 1.0},
+            "stage": [{"kind": "auto", "time_step": 50.0, "end": 600.0, "dynamic_time_step": 1e-3, "at_rest": 0.1}],
+            **(sides if is_meshed else {}),
+        }
+    )  # fmt: skip
+
+
+def event(margin: float, is_meshed: bool, folder: Path) -> tuple[Mapping[str, Any], float]:
+    """The event of a run, and the CPU seconds of the run."""
+    began = time.process_time()
+    rows = run(scene(margin, is_meshed), folder / f"{margin:g}-{is_meshed}").events
+    (found,) = (row for row in rows if row["kind"] == "event")
+    return found, time.process_time() - began
+
+
+def main() -> int:
+    """Run all margins; 1 where a difference is too large."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("margin", type=float, nargs="*", default=[200.0, 400.0])
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for margin in parser.parse_args().margin:
+            (later, cpu), (meshed, cpu_meshed) = (event(margin, each, Path(folder)) for each in (False, True))
+            off = {key: abs(later[key] / meshed[key] - 1.0) for key in ("slip", "moment")}
+            wrong += max(off.values()) > MOST
+            said = ", ".join(f"{key} {value:.1%} off" for key, value in off.items())
+            print(f"margin {margin:g} m: {said}; {cpu:.1f} CPU s, meshed from the start {cpu_meshed:.1f}", flush=True)
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,181 @@
+"""Rock without a mesh until an event needs inertia: jumps, tractions and energy go on through the change of rock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.advance.event_rock import handed_over
+from fracflow.advance.initial_state import equilibrium_state
+from fracflow.advance.step import Stepping, stepper_of
+from fracflow.errors import InputError, Interrupted
+from fracflow.mesh import around
+from fracflow.mesh.data import is_unmeshed
+from fracflow.mesh.store import load_mesh
+from fracflow.model.balance import static_balance_of
+from fracflow.output import list_steps, read_events, read_history
+from fracflow.reduction.event_mesh import with_event_mesh
+from fracflow.reduction.prepare import prepare
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
+from fracflow.solve.request import StepRequest
+
+SCENE = """
+title = "pressure lets a fault go"
+output = {pictures = false, event_length = 1}
+rock.rock = {youngs_modulus = 30e9, poissons_ratio = 0.25, density = 2700}
+initial_stress = {xx = -20e6, yy = -20e6, zz = -20e6, xy = 10e6}
+load = [{stress.xy = [[0, 0], [100, 1e6], [1000, 1e6]]}]
+fluid = {viscosity = 1e-3, initial_pressure = 0}
+method = {stepper = "generalised-alpha", rho_infinity = 0.6, events = "at-step-ends"}
+probe = [
+  {name = "middle", at = [0, 0], on = "fault", quantities = ["slip", "opening", "shear_traction", "normal_traction"]},
+  {name = "rock", at = [10, 20], quantities = ["stress"]},
+]
+stage = [{kind = "auto", end = 421, time_step = 10, dynamic_time_step = "3 ms", at_rest = 0.1}]
+[geometry]
+domain = "unbounded"
+size_at_fractures = 10
+size = 25
+growth = 0.3
+event_margin = 100
+fracture = [{name = "fault", points = [[-50, 0], [50, 0]]}, {name = "beside", points = [[60, 30], [90, 40]]}]
+[fracture.default]
+friction_coefficient = 0.6
+stick_slip_ratio = 0.9
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "0.2 mm"
+[fracture.fault]
+pressure = [[0, 0], [1000, 4e6]]
+[fracture.beside]
+friction_coefficient = 0.9
+"""
+"""Pressure and a far stress act on the fault; the other fracture sticks, and has pressures that flow."""
+
+
+@pytest.fixture
+def scene(shared_tmp):
+    file = shared_tmp / "scene.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        file.write_text(SCENE)
+    MPI.COMM_WORLD.barrier()
+    return file
+
+
+def history_of(folder):
+    MPI.COMM_WORLD.barrier()
+    return dict(read_history(folder / "history.h5"))
+
+
+def handed(history):
+    """The row that the change of rock has added."""
+    return int(np.flatnonzero(history["energy/change_of_rock"])[0])
+
+
+def test_nothing_slips_by_the_change_of_rock(scene, comm):
+    """Walls have the jumps of before, and the frozen traction leaves nothing out of balance."""
+    model = prepare(load(scene), comm)
+    state, still = equilibrium_state(model), stepper_of(model.scene, model.scene.stage[0], "quasi-static")
+    stepping = Stepping(model)
+    for time in (150.0, 300.0):
+        request = StepRequest(time, time - state.time, state.controls, stepping.model.loads)
+        before, (state, _) = state, stepping.step(state, request, still)
+        before.destroy()
+    new = with_event_mesh(model, comm)
+    found = handed_over(model, new, state)
+    jumps = []
+    for ops, moved in ((model.operators, state.motion), (new.operators, found.state.motion)):
+        joints, strain = ops.blocks.joints, ops.joints.strain(moved.displacement)
+        rows = strain.reshape(len(joints.ids), 2 * ops.joints.dim)
+        jumps.append(comm.bcast(ops.blocks.gather(joints.ids, rows, ops.blocks.sizes.joints)))
+    np.testing.assert_allclose(jumps[1], jumps[0], rtol=0.0, atol=1e-12 * np.abs(jumps[0]).max())
+    left = static_balance_of(new.operators, found.state)
+    new.loads.standing().release(left)
+    assert left.norm() < 1e-12 * new.operators.scales.force
+    assert 0.0 < found.mean < found.most < 5e4
+    for each in (state, found.state, left, stepping):
+        each.destroy()
+
+
+def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
+    run(load(scene), shared_tmp / "run")
+    history = history_of(shared_tmp / "run")
+    now = handed(history)
+    for name in ("slip", "opening", "shear_traction", "normal_traction"):
+        values = history[f"probe/middle/{name}"]
+        np.testing.assert_allclose(values[now], values[now - 1], rtol=1e-12)
+    first = history["energy/rock_strain"][now] + history["energy/change_of_rock"][now]
+    assert first == pytest.approx(history["energy/rock_strain"][now - 1], rel=1e-12)
+    assert 0.0 < abs(history["energy/change_of_rock"][now]) < 0.01 * abs(first)
+    largest = max(np.abs(history[key]).max() for key in history if key.startswith("energy/"))
+    assert np.abs(history["energy/residual"]).max() < 1e-10 * largest
+    kinds = history["step/kind"]
+    assert set(kinds[: now + 1]) == {1} and set(kinds[now:]) == {1, 2} and kinds[-1] == 1
+    stress = history["probe/rock/stress"]  # that of the far load is not in the motion of meshed rock
+    assert np.abs(stress[now] - stress[now - 1]).max() < 0.02 * 1e6
+
+
+BOX = (
+    "geometry.domain=[-150, -100, 190, 140]",
+    "absorbing=[{on=['west', 'east', 'south', 'north']}]",
+    "load=[]",
+    "model=full",
+)
+
+
+@pytest.mark.serial
+def test_the_event_is_that_of_a_run_with_a_mesh_from_the_start(scene, shared_tmp):
+    """Its sides are held before the event, which comes later by what they carry."""
+    here = ("load=[]", "initial_stress.xy=11e6")
+    run(load(scene, here), shared_tmp / "later")
+    (shared_tmp / "box.toml").write_text(SCENE.replace("event_margin = 100\n", ""))
+    run(load(shared_tmp / "box.toml", [*here, *BOX]), shared_tmp / "meshed")
+    events = [
+        [row for row in read_events(shared_tmp / name / "events.csv") if row["kind"] == "event"]
+        for name in ("later", "meshed")
+    ]
+    (later,), (meshed,) = events
+    for key, near in {"start": 2e-3, "slip": 0.03, "moment": 0.03, "stress_drop": 0.03, "dissipated": 0.03}.items():
+        assert later[key] == pytest.approx(meshed[key], rel=near), key
+
+
+def test_a_run_that_stops_at_the_change_of_rock_goes_on(scene, shared_tmp):
+    """Equal to the last bit on one rank; on others MUMPS sums in order of arrival."""
+    asked = load(scene, ["stage.0.end=419.92", "output.checkpoint_every=1"])
+    run(asked, shared_tmp / "whole")
+    whole, folder = history_of(shared_tmp / "whole"), shared_tmp / "halves"
+    assert is_unmeshed(load_mesh(folder.with_name("whole") / "mesh.h5").cells)
+    assert not is_unmeshed(load_mesh(folder.with_name("whole") / "event_mesh.h5").cells)
+    taken = []
+
+    def stop_there(step):
+        taken.append(step)
+        if len(taken) == handed(whole):
+            raise Interrupted("by hand")
+
+    with pytest.raises(Interrupted):
+        run(asked, folder, progress=stop_there)
+    assert handed(history_of(folder)) == len(taken) == handed(whole)
+    resume(folder)
+    halves, is_alone = history_of(folder), MPI.COMM_WORLD.size == 1
+    for key in ("probe/middle/slip", "probe/middle/shear_traction", "energy/rock_strain", "energy/kinetic", "time"):
+        near = 0.0 if is_alone else 1e-8 * np.abs(whole[key]).max()
+        np.testing.assert_allclose(halves[key], whole[key], rtol=0.0, atol=near)
+
+
+@pytest.mark.serial
+def test_no_event_needs_no_mesh(scene, shared_tmp, monkeypatch):
+    def refuse(job, what):
+        raise InputError("geometry: Gmsh: cannot")
+
+    monkeypatch.setattr(around, "run_worker", refuse)
+    run(load(scene, ["stage.0.end=100"]), shared_tmp / "quiet")
+    assert not (shared_tmp / "quiet" / "event_mesh.h5").exists()
+    assert not history_of(shared_tmp / "quiet")["energy/change_of_rock"].any()
+    with pytest.raises(InputError, match="Gmsh: cannot"):
+        run(load(scene), shared_tmp / "asked")
+    monkeypatch.undo()
+    resume(shared_tmp / "asked")  # the state before was saved
+    assert list_steps(shared_tmp / "asked", "rock_before") and list_steps(shared_tmp / "asked", "rock")
