@@ -61,7 +61,7 @@ class Trial:
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """A state worth recording, the stage it belongs to, and what it cost.
 

@@ -221,7 +221,7 @@ class JointLaw(Protocol):
         return np.zeros(len(slip))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Leakage:
     """Fluid that leaves a fracture through both walls together, per area of it.
 

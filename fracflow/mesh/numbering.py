@@ -14,7 +14,7 @@ from fracflow.mesh.locate import representatives
 from fracflow.mesh.share import Share
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Common:
     """Values of a mesh that all ranks know.
 

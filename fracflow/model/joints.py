@@ -28,7 +28,7 @@ from fracflow.scene.scene import Scene
 REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SectionGroup:
     """Sections with equal numbers of unknowns: numbers (n,), their unknowns (n, k), and their rows of G (n, dim, k)."""
 
@@ -81,7 +81,7 @@ def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
     return tuple(groups)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LawGroup:
     """Sections that follow one law: their numbers (n,), and the law with its parameters (n,)."""
 
@@ -89,7 +89,7 @@ class LawGroup:
     law: JointLaw
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Massless:
     """Strains (s, dim) in which a wall has no mass; ``jump`` is G P, the strains of what carries its mass."""
 
@@ -97,7 +97,7 @@ class Massless:
     jump: PETSc.Mat
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Walls:
     """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), and step."""
 
@@ -108,7 +108,7 @@ class Walls:
     plastic: PlasticSlip | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 

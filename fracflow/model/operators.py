@@ -37,7 +37,7 @@ class Scales:
         return float(np.finfo(float).eps) * self.force * self.displacement * unknowns
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Operators:
     """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
 

@@ -17,7 +17,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import FRACTURES, FluidVolumes, State
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WellStep:
     """Wells in a step.
 

@@ -227,7 +227,7 @@ def _write(path: Path, arrays: Mapping[str, Slabs], attrs: Mapping[str, Any]) ->
     write_slabs(path, arrays, notes, durable=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Each:
     """Slabs made of those of another array."""
 

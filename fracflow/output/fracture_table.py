@@ -23,7 +23,7 @@ COLUMNS = {
 STATES = ("sticks", "has slipped", "slips", "open")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FractureTable:
     """Values of the fractures (n,) at a time.
 

@@ -82,7 +82,7 @@ def run(
             undone = {**undone, **needed.undone}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Begun:
     """A run that is ready to go on from a step; ``clock`` is when it was begun [s]."""
 

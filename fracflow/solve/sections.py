@@ -209,7 +209,7 @@ class SectionReport:
     flow: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Rows:
     """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 
