@@ -239,9 +239,9 @@ def _depths(mesh: SplitMesh, length: Floats) -> Floats:
     if is_unmeshed(mesh.cells):
         return np.full(len(mesh.cells), np.inf)
     uncut, parent = mesh.uncut, np.arange(len(mesh.cells)) // mesh.children  # cuts change neither blocks nor areas
-    cells, nodes = np.nonzero(uncut.cells >= 0)[0], uncut.cells[uncut.cells >= 0]
-    count = len(uncut.cells)
-    block = components(cells, count + nodes, count + len(uncut.points))[:count]
+    first = uncut.cells[:, 0]
+    cell, corner = np.nonzero(uncut.cells[:, 1:] >= 0)
+    block = components(first[cell], uncut.cells[cell, 1 + corner], len(uncut.points))[first]
     area = np.bincount(block, _areas(uncut))
     along = np.bincount(block[parent[mesh.joint_cells]].ravel(), np.repeat(length, 2), len(area))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -109,7 +109,9 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
 
     Raises InputError naming the cells whose determinant is not positive, by ``numbers`` (n,) if given.
     """
-    matrix = rule.gradients.swapaxes(1, 2) @ points[:, None]
+    nodes, dim = points.shape[1:]
+    places = slice(1) if nodes == dim + 1 else slice(None)  # in simplices it is the same everywhere
+    matrix = rule.gradients[places].swapaxes(1, 2) @ points[:, None]
     if matrix.shape[-1] == 2:
         det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
     else:
@@ -120,7 +122,8 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
         if matrix.shape[-1] == 3:
             how = "be ordered as Gmsh's, in a convex cell of positive volume"
         raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {how}")
-    return matrix, det
+    shape = len(points), len(rule.weights)
+    return np.broadcast_to(matrix, (*shape, dim, dim)), np.broadcast_to(det, shape)
 
 
 def gradients(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[Floats, Floats]:

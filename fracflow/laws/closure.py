@@ -38,9 +38,9 @@ class NormalClosure:
         closing = opening < 0.0
         eps = np.where(crushed, 0.0, np.minimum(opening, -f_n0 / k_n0))
         squeeze = 1.0 + np.minimum(eps, 0.0) / d0
-        f_n = np.minimum(f_n0 + k_n0 * eps / squeeze, 0.0)
-        f_n[self.is_open(opening)] = 0.0
-        k_n = np.where(self.is_open(opening), 0.0, k_n0 / squeeze**2)
+        is_open = opening > -f_n0 / k_n0
+        f_n = np.where(is_open, 0.0, np.minimum(f_n0 + k_n0 * eps / squeeze, 0.0))
+        k_n = np.where(is_open, 0.0, k_n0 / squeeze**2)
         hyperbola = d0**2 * _minus_log(np.minimum(eps, 0.0) / d0)
         energy = f_n0 * eps + k_n0 * np.where(closing, hyperbola, 0.5 * eps**2)
         return np.where(crushed, -np.inf, f_n), np.where(crushed, np.inf, k_n), np.where(crushed, np.inf, energy)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -153,12 +154,19 @@ class FrontCubic(ExactCubic):
     places of the front in the element.
     """
 
+    @cached_property
+    def _rest(self) -> Floats:
+        """Mean apertures (n,) at rest."""
+        rest: Floats = self.aperture.mean(axis=1)
+        return rest
+
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
         found = super().conductance(opening, slip, history, step)
-        rest = self.aperture.mean(axis=1)
+        rest = self._rest
         is_apart = opening > -rest[:, None]
-        parted = -np.diff(np.where(is_apart, opening, -rest[:, None]), axis=1)[:, 0]
+        apart = np.where(is_apart, opening, -rest[:, None])
+        parted = apart[:, 0] - apart[:, 1]
         beyond = np.abs(parted) - rest
         there = beyond > 0.0
         if not there.any():

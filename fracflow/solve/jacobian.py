@@ -106,8 +106,10 @@ class JoinedMatrix:
         self._prepare_blocks()
         self.stood: tuple[Any, ...] = ()
         """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
-        self._changing_rows, self._changing_entries = self._find_changing()
-        self._changing_columns = pattern.columns[self._changing_entries]
+        changing, self._changing_entries = self._find_changing()
+        starts = np.concatenate([[0], np.cumsum(np.diff(self._starts)[changing])])
+        columns, rows = pattern.columns[self._changing_entries], petsc_ints(changing + self.layout.start)
+        self._changing = petsc_ints(starts), columns, rows
         self._standing = np.zeros(0)  # values of those entries without the state
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
@@ -287,7 +289,7 @@ class JoinedMatrix:
     def standing(self) -> Iterator[PETSc.Mat]:
         """The matrix without the state, as long as that is needed: then it is again as it was filled last. Collective."""
         matrix, state = self.matrix, self.matrix.stateGet()
-        rows = PETSc.IS().createGeneral(petsc_ints(self._changing_rows + self.layout.start), comm=self.layout.comm)
+        rows = PETSc.IS().createGeneral(self._changing[2], comm=self.layout.comm)
         part = rows_of(matrix, rows)
         values = part.getValuesCSR()[2]
         destroy(rows, part)
@@ -342,10 +344,8 @@ class JoinedMatrix:
 
     def _insert(self, matrix: PETSc.Mat, values: Floats) -> None:
         """Set the entries to which the state adds something. Collective."""
-        starts = np.concatenate([[0], np.cumsum(np.diff(self._starts)[self._changing_rows])])
-        rows = petsc_ints(self._changing_rows + self.layout.start)
-        numbers = petsc_ints(starts), self._changing_columns, values
-        matrix.setValuesIJV(*numbers, PETSc.InsertMode.INSERT, rows)
+        starts, columns, rows = self._changing
+        matrix.setValuesIJV(starts, columns, values, PETSc.InsertMode.INSERT, rows)
 
     def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
         """Add what compression does to the rows that keep the fluid of a part."""
