@@ -91,7 +91,7 @@ def _keeping_waves(view: CheckInput, far: float) -> Iterator[str]:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WeakJoints:
     """Joints (j,) where slip may run away.
 
@@ -124,7 +124,7 @@ class WeakJoints:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Beside:
     """Growth (f,) of cells beside each fracture over the distance, and the least reach (f,) there [length]."""
 
