@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError, SolveError
 from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
@@ -409,11 +409,17 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
 
 
 def steepest(
-    blocks: Blocks, joints: Joints, traction: Floats, past: SectionHistory, chosen: Floats | None = None
+    blocks: Blocks,
+    joints: Joints,
+    traction: Floats,
+    past: SectionHistory,
+    chosen: Floats | None = None,
+    least: float = 0.0,
 ) -> tuple[float, str, str]:
     """Largest fall of strength with slip over shear stiffness, of the chosen sections, its fracture and key. Collective.
 
-    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls
+    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls. On several ranks
+    neither is named where the largest is below ``least``.
     """
     worst = (0.0, "", "")
     for group, history in zip(joints.laws, past, strict=True):
@@ -423,7 +429,11 @@ def steepest(
         if falls.max(initial=0.0) > worst[0]:
             fracture = blocks.joints.fracture[group.sections[falls.argmax()] // joints.points]
             worst = (float(falls.max()), blocks.joints.fractures[fracture], group.law.weakens_over)
-    return worst if blocks.comm.size == 1 else max(blocks.comm.allgather(worst))
+    if blocks.comm.size == 1:
+        return worst
+    largest = np.array([worst[0]])
+    blocks.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    return (float(largest[0]), "", "") if largest[0] < least else max(blocks.comm.allgather(worst))
 
 
 def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
@@ -439,7 +449,7 @@ def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
 def refuse_jumps(blocks: Blocks, joints: Joints, old: Sections, new: Sections, time: float) -> None:
     """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
     slid = (new.inelastic != old.inelastic).any(axis=1)
-    worst, name, key = steepest(blocks, joints, new.traction, old.history, slid)
+    worst, name, key = steepest(blocks, joints, new.traction, old.history, slid, least=1.0)
     if worst >= 1.0:
         raise SolveError(
             f"time {time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"

@@ -134,17 +134,22 @@ class JointSolver:
         moduli = weights[:, :, None] * answer.tangent
         push = weights * (answer.traction - before.traction)
         known = (np.abs(moduli) @ np.abs(answer.strain)[:, :, None])[:, :, 0] + 2.0 * weights * np.abs(answer.traction)
-        pulled, sizes = self._by_clusters(self._compliances, push), self._by_clusters(self._sizes, known)
+        pulled, sizes = self._by_clusters((self._compliances, push), (self._sizes, known))
         return free - change - pulled, moduli, np.abs(free) + np.abs(change) + sizes
 
-    def _by_clusters(self, matrices: list[Floats], values: Floats) -> Floats:
-        """Matrices of all clusters times values (s, dim) of this rank's sections. Collective."""
-        there, dim = values if self._is_alone else self.clusters.exchange.there(values), values.shape[1]
-        result = np.empty_like(there)
-        for batch, matrix in zip(self.clusters.batches, matrices, strict=True):
-            rows = there[batch.sections].reshape(len(batch.sections), -1, 1)
-            result[batch.sections] = (matrix @ rows).reshape(*batch.sections.shape, dim)
-        return result if self._is_alone else self.clusters.exchange.back(result)
+    def _by_clusters(self, *products: tuple[list[Floats], Floats]) -> list[Floats]:
+        """Matrices of all clusters times values (s, dim) of this rank's sections, for each pair of both. Collective."""
+        given = [values for _, values in products]
+        if not self._is_alone:
+            given = np.split(self.clusters.exchange.there(np.hstack(given)), len(products), axis=1)
+        found = [np.empty(values.shape) for values in given]
+        for (matrices, _), values, result in zip(products, given, found, strict=True):
+            for batch, matrix in zip(self.clusters.batches, matrices, strict=True):
+                rows = values[batch.sections].reshape(len(batch.sections), -1, 1)
+                result[batch.sections] = (matrix @ rows).reshape(*batch.sections.shape, values.shape[1])
+        if not self._is_alone:
+            found = np.split(self.clusters.exchange.back(np.hstack(found)), len(products), axis=1)
+        return found
 
     def _correction(self, left: Floats, moduli: Floats) -> Floats:
         """Newton's correction (s, dim) of the motion of sections: (1 + S G M^-1 G' W D)^-1 of what is left. Collective."""

@@ -64,7 +64,7 @@ class Rock(Protocol):
         ...
 
     def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
-        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; the sums, of ``values`` (n,)."""
         ...
 
     def sums(self, values: Floats) -> Sums:
@@ -187,7 +187,7 @@ class Cells:
         self._loops.fracflow_start(self.owned, 0.5 * dt, dt, *map(address, (self.a, self.u, self.v)))
 
     def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
-        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; the sums, of ``values`` (n,)."""
         found, there = np.zeros(4), [each.getArray() for each in vectors]
         known = self._order, self._w, self.f, self._mass, values, self.u, self.v, self.a
         self._loops.fracflow_stop(self.owned, *map(address, (*known, *there, found)))
@@ -264,7 +264,7 @@ class AssembledRock:
         self.u += dt * self.v
 
     def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
-        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; with ``sums`` of then."""
+        """Set a = f/m where forces alone move a node, and write u, v and a into vectors; the sums, of ``values`` (n,)."""
         np.copyto(self.a, self._w * self.f, where=self._w > 0.0)
         for vector, here in zip(vectors, (self.u, self.v, self.a), strict=True):
             vector.getArray()[:] = here
