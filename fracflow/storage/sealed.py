@@ -26,7 +26,7 @@ SEAL = "seal"  # dataset of digests, and attribute of the root
 PIECE = 1 << 20  # bytes
 WIDTH = 16  # bytes of a digest
 AGAIN = "start the run again with fracflow run"
-SLAB = 1 << 23  # bytes of rows of an array that one rank holds for others
+SLAB = 1 << 21  # bytes of rows of an array that one rank holds for others
 _BLOCK = 1 << 24  # bytes of rows that are put together at once
 
 Bytes = NDArray[np.uint8]

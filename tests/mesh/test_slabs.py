@@ -11,7 +11,7 @@ from fracflow.mesh.slabs import Order, on_rank_0
 from fracflow.storage import sealed
 from fracflow.storage.sealed import SealedFile, slabs_of, write_sealed, write_slabs
 
-TOTAL = 500_000  # rows, of two slabs and of one
+TOTAL = 125_000  # rows, of two slabs and of one
 KINDS = {
     "vector": ((TOTAL, 3), "f8"),
     "flag": ((TOTAL, 1), "?"),
