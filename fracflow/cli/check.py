@@ -20,6 +20,7 @@ from fracflow.model.unbounded import held_walls
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.event_mesh import cells_of_event
+from fracflow.reduction.far_sides import one_obstacle
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ITERATIONS, break_even, fits
@@ -72,6 +73,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
         found["steps from which a condensed rock pays"] = pays
     card, notes = pre_run_checks(model.stated, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    notes += one_obstacle(scene)
     network = _network(model)
     model, facts = planned(model)
     found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))

@@ -21,6 +21,7 @@ from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
 from fracflow.reduction.mesh_size import ACROSS, MOST_JOINTS, cell_count, typical_length
+from fracflow.remarks import note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.solve.rock_cost import direct
@@ -40,42 +41,63 @@ LEAST = 0.02  # CPU s of one: less is not worth another model
 
 def why_meshed(scene: Scene) -> str:
     """Why a scene with sides needs them, or a mesh, wherever they are; empty where their distance decides."""
+    return next(_obstacles(scene), "")
+
+
+def one_obstacle(scene: Scene) -> list[str]:
+    """A line on the one thing, but inertia, that keeps the mesh of a scene with far sides, where that costs time; else none."""
+    if scene.geometry is None or scene.is_unbounded or not scene.geometry.fracture or scene.model != "default":
+        return []
+    found, (meshed, dense) = list(_obstacles(scene)), _cpu(scene)
+    if (
+        len(found) != 1
+        or any(stage.kind == "dynamic" for stage in scene.stage)
+        or estimated(scene) >= _tolerance(scene)
+        or meshed < max(LEAST, CLEARLY * dense)
+    ):
+        return []
+    faster = f"else a factorisation would be some {meshed / max(dense, 1e-3):.2g} times faster"
+    return [note(f"one thing keeps the mesh of the rock, whose sides are far: {found[0]}; {faster}")]
+
+
+def _obstacles(scene: Scene) -> Iterator[str]:
+    """All that keeps sides or a mesh wherever the sides are, one of each kind."""
     geometry = scene.geometry
     assert geometry is not None
     if odd := [stage.title for stage in scene.stage if stage.kind not in ("auto", "quasi-static", "steady")]:
-        return f"stage {odd[0]} has inertia, or begins out of balance"
+        yield f"stage {odd[0]} has inertia, or begins out of balance"
     if scene.body_force is not None or scene.initial is not None or scene.carries_unbalanced:
-        return "a start that is not at rest, or forces on the volume of the rock"
+        yield "a start that is not at rest, or forces on the volume of the rock"
     if any(rock.rigid for rock in scene.rock.values()):
-        return "the rock is rigid"
+        yield "the rock is rigid"
     if scene.load or scene.tie or scene.term_tables.keys() - {"absorbing"}:
-        return "loads, ties or terms on its sides, whose work is not counted in rock without sides"
+        yield "loads, ties or terms on its sides, whose work is not counted in rock without sides"
     if any(each.waves or each.without_inertia != "held" for each in scene.absorbing):
-        return "absorbing sides that waves come in by, or that are free without inertia"
+        yield "absorbing sides that waves come in by, or that are free without inertia"
     held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
-    for support in scene.support:
-        if support.displacement is not None or support.displacement_gradient is not None:
-            return f"support on {support.on[0]} moves"
-        held |= {(name, part) for name in support.on for part in support.components}
-    for side in side_names(np.array(geometry.outline, dtype=float)):
-        if not {(side, "x"), (side, "y")} <= held:
-            return f"side {side} is not held in x and y"
+    held |= {(name, part) for support in scene.support for name in support.on for part in support.components}
+    moving = (s for s in scene.support if s.displacement is not None or s.displacement_gradient is not None)
+    if (mover := next(moving, None)) is not None:
+        yield f"support on {mover.on[0]} moves"
+    sides = side_names(np.array(geometry.outline, dtype=float))
+    if free := [side for side in sides if not {(side, "x"), (side, "y")} <= held]:
+        yield f"side {free[0]} is not held in x and y"
     if any(well.on is not None for well in scene.well):
-        return "a well is on a side"
+        yield "a well is on a side"
     on_joints = {name for name, row in probed().items() if row.home in ("section", "flow")}
     for probe in scene.probe:
         if probe.quantities is None or not on_joints.issuperset(probe.quantities):
             what = "displacement" if probe.quantities is None else min({*probe.quantities} - on_joints)
-            return (
+            yield (
                 f"probe {probe.name} measures {what}, to which sides add by length over distance, not by its square"
                 " (its quantities may leave that out)"
             )
+            break
     if scene.output.fields_every:
-        return "output.fields_every asks for fields of the rock up to its sides"
+        yield "output.fields_every asks for fields of the rock up to its sides"
     method = scene.method
     if method.coupling != "auto" or method.rock_solver != "auto" or scene.petsc or geometry.cells != "triangles":
-        return "its solver or its cells are stated"
-    return ""
+        yield "its solver or its cells are stated"
 
 
 def estimated(scene: Scene) -> float:

@@ -243,7 +243,8 @@ def _domain(run: RunReport, scene: Scene) -> str:
     count = len(scene.geometry.fracture)
     fractures = f"{count} fracture{'' if count == 1 else 's'}"
     if scene.is_unbounded:
-        return f"Rock without sides, in plane strain and not meshed, with {fractures}."
+        until = " until an event needs inertia" if scene.has_dynamics else ""
+        return f"Rock without sides, in plane strain and not meshed{until}, with {fractures}."
     corners = np.array(scene.geometry.outline, dtype=float)
     wide, high = (run.shown(float(size), LENGTH) for size in np.ptp(corners, axis=0))
     return f"A piece of rock {wide} wide and {high} high, in plane strain, with {fractures}."

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fracflow._petsc import MPI, timed
+from fracflow._petsc import MPI, destroy, timed
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
@@ -165,7 +165,8 @@ def resume(
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], first_rank)
         if event_seal:
-            model = with_event_mesh(model, comm, event_mesh, cell_rank)
+            first, model = model, with_event_mesh(model, comm, event_mesh, cell_rank)
+            first.operators.stiffness.destroy()
         with restoring(saved):
             check_stage(notes, [stage.kind for stage in scene.stage])
             refuse_moved(scene, notes["stage"], notes["progress"], notes["time"])
@@ -281,7 +282,7 @@ def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNee
     new = with_event_mesh(model, recorder.comm)
     found = handed_over(model, new, state)
     event = on_mesh(needed.progress, new, found.state, scene.stage[step.stage])
-    state.destroy()
+    destroy(state, model.operators.stiffness)  # which is dense, and done with
     recorder.hand_over(new)
     sizes, units = new.operators.blocks.sizes, scene.unit_names
     mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))

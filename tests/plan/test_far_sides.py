@@ -204,6 +204,16 @@ def test_reasons_to_keep_sides(why):
     assert found is None if why == "not asked" else why in found.why
 
 
+def test_one_obstacle_is_named(dear_meshes):
+    """Two are not: to mend one would change nothing."""
+    (line,) = far_sides.one_obstacle(scene_of(output={"fields_every": 1}))
+    assert line.startswith("note: one thing keeps the mesh") and "output.fields_every" in line
+    two = {"output": {"fields_every": 1}, "method": {"coupling": "monolithic"}}
+    for changes in ({}, two, {"output": {"fields_every": 1}, "model": "full"}):
+        assert far_sides.one_obstacle(scene_of(**changes)) == []
+    assert far_sides.one_obstacle(scene_of(60.0, output={"fields_every": 1})) == []
+
+
 def test_estimate_falls_with_the_square_of_the_distance():
     near, far = (far_sides.estimated(scene_of(wide)) for wide in (2e3, 4e3))
     assert near / far == pytest.approx(4.0, rel=0.02)
