@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model import compressed, unbounded
 from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
@@ -17,6 +17,9 @@ from fracflow.model.properties import along_fractures, initial_stress
 from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness, summed_at_nodes
 from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fracflow.model.compressed import FarRock
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Operators:
     damping: PETSc.Mat | None = None
     inward: PETSc.Mat | None = None
     terms: tuple[Term, ...] = ()
-    far: compressed.FarRock | None = None
+    far: FarRock | None = None
 
     def rock_force(self, moved: PETSc.Vec, force: PETSc.Vec, before: PETSc.Vec | None = None) -> None:
         """K_s u, in ``force``, added to what was there ``before`` where that is given. Collective."""
@@ -126,6 +129,8 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
         refuse_steep_start(blocks, joints)
     far = None
     if scene.is_unbounded:
+        from fracflow.model import compressed, unbounded  # few scenes need them
+
         if compressed.is_compressed(scene, blocks.sizes.joints):
             stiff, far = compressed.stiffness(blocks, scene)
         else:

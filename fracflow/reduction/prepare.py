@@ -12,7 +12,6 @@ from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
-from fracflow.reduction.event_mesh import before_events
 from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
 from fracflow.reduction.mesh_size import proposed
 from fracflow.reduction.unresolved import unresolved
@@ -77,6 +76,10 @@ def prepare(
 
 def _with_note(model: Model) -> Model:
     """The model with a line on the mesh that its events would have."""
+    if not model.scene.is_unbounded:
+        return model
+    from fracflow.reduction.event_mesh import before_events  # few runs need it
+
     notes = (*model.placed.notes, *before_events(model.scene, model.bounded))
     return replace(model, placed=replace(model.placed, notes=notes))
 

@@ -11,7 +11,6 @@ from fracflow._petsc import MPI, destroy, timed
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
-from fracflow.advance.event_rock import handed_over
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
 from fracflow.advance.regime import on_mesh
@@ -30,7 +29,6 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
-from fracflow.reduction.event_mesh import with_event_mesh
 from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
@@ -165,6 +163,8 @@ def resume(
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], first_rank)
         if event_seal:
+            from fracflow.reduction.event_mesh import with_event_mesh
+
             first, model = model, with_event_mesh(model, comm, event_mesh, cell_rank)
             first.operators.stiffness.destroy()
         with restoring(saved):
@@ -276,6 +276,9 @@ def _stepped(
 @timed("FracSetUp", "Set up")
 def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNeeded) -> tuple[Model, Step]:
     """The model on the mesh that an event needs, and its first state on record. Raises InputError, SolveError. Collective."""
+    from fracflow.advance.event_rock import handed_over  # few runs need them
+    from fracflow.reduction.event_mesh import with_event_mesh
+
     scene, state = model.scene, step.state
     recorder.save(step)  # Gmsh may fail
     recorder.log(f"time {scene.time_text(state.time)}: an event needs inertia: {needed.why}: the rock is meshed")

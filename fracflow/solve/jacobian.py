@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.compressed import FarRock
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
 from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
@@ -25,6 +24,9 @@ from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure, closure_row
 from fracflow.model.operators import Operators
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
+
+if TYPE_CHECKING:
+    from fracflow.model.compressed import FarRock
 
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
