@@ -13,10 +13,10 @@ from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Log, Outcome
 from fracflow.integrators import EXPLICIT, Stepper
 from fracflow.integrators.explicit import parts
-from fracflow.model.joints import refuse_jumps
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
+from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
 from fracflow.solve.explicit import ExplicitModel

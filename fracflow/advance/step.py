@@ -34,10 +34,10 @@ from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, room_between, stored, widening
 from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
-from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport
+from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.remarks import note
 from fracflow.scene.boundary import Stage

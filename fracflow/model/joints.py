@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
-from fracflow.errors import InputError, SolveError
+from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
@@ -24,8 +24,6 @@ from fracflow.model.properties import along_fractures, initial_pressure, initial
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
-
-REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,53 +404,3 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     jump = jump_matrix(blocks, xi, expand)
     sizes = entry_sizes(jump)
     return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)
-
-
-def steepest(
-    blocks: Blocks,
-    joints: Joints,
-    traction: Floats,
-    past: SectionHistory,
-    chosen: Floats | None = None,
-    least: float = 0.0,
-) -> tuple[float, str, str]:
-    """Largest fall of strength with slip over shear stiffness, of the chosen sections, its fracture and key. Collective.
-
-    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls. On several ranks
-    neither is named where the largest is below ``least``.
-    """
-    worst = (0.0, "", "")
-    for group, history in zip(joints.laws, past, strict=True):
-        falls = group.law.steepness(traction[group.sections], history)
-        if chosen is not None:
-            falls = np.where(chosen[group.sections], falls, 0.0)
-        if falls.max(initial=0.0) > worst[0]:
-            fracture = blocks.joints.fracture[group.sections[falls.argmax()] // joints.points]
-            worst = (float(falls.max()), blocks.joints.fractures[fracture], group.law.weakens_over)
-    if blocks.comm.size == 1:
-        return worst
-    largest = np.array([worst[0]])
-    blocks.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-    return (float(largest[0]), "", "") if largest[0] < least else max(blocks.comm.allgather(worst))
-
-
-def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
-    """Raise InputError, on every rank, for a fracture that would jump under its initial normal traction. Collective."""
-    worst, name, key = steepest(blocks, joints, joints.initial, joints.initial_history())
-    if worst >= 1.0:
-        raise InputError(
-            f"fracture.{name}: under its initial normal traction its strength falls with slip {worst:.4g} times as fast as"
-            f" its shear_stiffness unloads, so that it would jump: {REMEDY.format(worst, key)}"
-        )
-
-
-def refuse_jumps(blocks: Blocks, joints: Joints, old: Sections, new: Sections, time: float) -> None:
-    """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
-    slid = (new.inelastic != old.inelastic).any(axis=1)
-    worst, name, key = steepest(blocks, joints, new.traction, old.history, slid, least=1.0)
-    if worst >= 1.0:
-        raise SolveError(
-            f"time {time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
-            f" {worst:.4g} times as fast as its shear_stiffness unloads: it jumped, which no smaller step resolves;"
-            f" {REMEDY.format(worst, key)}"
-        )

@@ -11,10 +11,11 @@ from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Flow, assemble_flow
-from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
+from fracflow.model.joints import Joints, assemble_joints
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.properties import along_fractures, initial_stress
 from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness, summed_at_nodes
+from fracflow.model.steep_weakening import refuse_steep_start
 from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene
 
