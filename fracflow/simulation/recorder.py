@@ -281,8 +281,7 @@ class Files:
         write_status(self.folder, Status(RUNNING))
         self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
-        known = before.mesh if before is not None else ""
-        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
+        self.mesh_seal = (before.mesh if before else "") or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
         if notes is None:
             self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
