@@ -30,7 +30,7 @@ class Shares:
 
     operations  CPU s of the power ``grows`` of a million unknowns, in a factorisation
     solves      CPU s of N log2 N of a million unknowns, in solves with the factors
-    numbers     in both factors, of N log2 N or N^(4/3)
+    numbers     in both factors, of N log2 N or N^(4/3); besides, LU works with ``works`` numbers an unknown
     sets_up     CPU s of a million unknowns: small systems of multigrid, made anew in each iteration of Newton's method
     iterates    CPU s of a million unknowns in an iteration of FGMRES
     holds       numbers an unknown in its grids, small systems and vectors
@@ -41,6 +41,7 @@ class Shares:
     operations: float
     solves: float
     numbers: float
+    works: float
     sets_up: float
     iterates: float
     holds: float
@@ -49,11 +50,12 @@ class Shares:
 
 
 SHARES = {
-    2: Shares(1.5, 3.3, 0.11, 10.0, 1.8, 0.15, 136.0, 7.8, 0.08),
-    3: Shares(2.0, 1160.0, 0.25, 40.0, 16.0, 1.7, 600.0, 15.0, 0.12),
+    2: Shares(1.5, 3.3, 0.11, 10.0, 90.0, 1.6, 0.15, 88.0, 9.0, 0.05),
+    3: Shares(2.0, 1160.0, 0.25, 40.0, 90.0, 16.0, 1.7, 600.0, 15.0, 0.12),
 }
-"""By dimension. Measured from 7e3 to 3.3e5 unknowns in the plane, 1.1e4 to 3e4 in space; ``holds`` in space is a guess."""
-PROGRAM, MATRICES = 1.37e8, 220.0
+"""By dimension. Times were measured from 7e3 to 3.3e5 unknowns in the plane, 1.1e4 to 3e4 in space; memory in the plane, at
+8.9e4 and 1.5e6. ``works`` and ``holds`` in space are guesses."""
+PROGRAM, MATRICES = 1.37e8, 120.0
 """Bytes of the program with its libraries; numbers an unknown in matrices and vectors, however the rock is solved for."""
 
 
@@ -80,7 +82,8 @@ def direct(unknowns: int, dim: int = 2) -> Cost:
     """Cost by LU."""
     shares, size = SHARES[dim], unknowns / 1e6
     seconds = shares.operations * size**shares.grows + shares.solves * size * math.log2(max(unknowns, 2))
-    return Cost(seconds, without_solves(unknowns) + NUMBER * factor_numbers(unknowns, dim))
+    numbers = factor_numbers(unknowns, dim) + shares.works * unknowns
+    return Cost(seconds, without_solves(unknowns) + NUMBER * numbers)
 
 
 def iterations(unknowns: int, dim: int = 2) -> float:
