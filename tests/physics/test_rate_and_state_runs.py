@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
@@ -120,6 +121,10 @@ def test_creep_is_no_event_and_what_runs_away_is_one_with_inertia(folder):
     moving = kept["step/kind"] == 2
     before = kept["probe/middle/sliding_rate"][np.flatnonzero(moving)[0] - 1]
     assert IMPEDANCE * before == pytest.approx(1e-3 * 6e6, rel=0.5), "inertia comes in as a thousandth is radiated"
+    lines = re.findall(r"! .*a step with inertia slips (\S+) times", (folder / "auto" / "log.txt").read_text())
+    far = (kept["probe/middle/sliding_rate"][1:] * np.diff(kept["time"]))[moving[1:]].max() / 1e-4
+    told = float(lines[-1])
+    assert 1.0 < told <= 1.001 * far < 2.01 * told, "steps with inertia do not follow the rate of slip"
     still = history(folder, "auto")["energy/radiated"][moving]
     assert np.ptp(still) == 0.0, "waves carry it then"
 
