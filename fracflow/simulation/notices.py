@@ -6,9 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.advance.slip_rate import creeps
 from fracflow.advance.step import Step
 from fracflow.advance.wells import reached_before
+from fracflow.integrators import EXPLICIT
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
@@ -28,6 +30,7 @@ FOLD = 1.5
 stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
+FAR = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
 STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
@@ -55,6 +58,8 @@ class Notices:
             self._doubt(line)
         if self._scene.stage[step.stage].kind in ("steady", "quasi-static") and not totals.fast_slip:
             self._fast_slip(state)
+        if step.dt > 0.0 and creeps(self._model) and "dynamic" in (self._scene.stage[step.stage].kind, step.regime):
+            self._far_slip(step)
         if state.wells_at_limit or state.wells_shut:
             self._limits(state)
         self._coupling(f"stage {self._scene.stage[step.stage].title}", state.time, report)
@@ -74,6 +79,29 @@ class Notices:
         self._doubt(
             f"time {self._scene.time_text(state.time)}: slip of {', '.join(names)} is so fast that waves limit it, and this"
             f" stage has no inertia: later results leave out what waves do{REMEDY}"
+        )
+
+    def _far_slip(self, step: Step) -> None:
+        """A line where a step with inertia slips farther than the state of friction evolves over; again at twice so far.
+
+        Collective. Such steps do not follow the rate of slip; the state is exact only for a rate that lasts.
+        """
+        state, joints = step.state, self._model.operators.joints
+        # the rate of an explicit step is that of its last part
+        length = step.dt / max(step.report.cycles, 1) if self._scene.method.stepper in EXPLICIT else step.dt
+        far = 0.0
+        for group, history in zip(joints.laws, state.sections.history, strict=True):
+            if group.law.creeps and len(group.sections):
+                far = max(far, float((history["sliding_rate"] / group.law.state_length(history)).max()) * length)
+        far = self._model.operators.layout.comm.allreduce(far, op=MPI.MAX)
+        if far <= max(FAR, WIDENS * self._totals.far_slip):
+            return
+        self._totals.far_slip = far
+        key = "dynamic_time_step" if step.regime else "time_step"
+        self._doubt(
+            f"time {self._scene.time_text(state.time)}: a step with inertia slips {far:.3g} times the distance over which the"
+            f" state of friction evolves: slip may be off by some per cent until it has ended, rates by more; {key} below"
+            f" {self._scene.time_text(FAR * step.dt / far, 2)}"
         )
 
     def _limits(self, state: State) -> None:

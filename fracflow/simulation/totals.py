@@ -49,6 +49,7 @@ class Totals:
     factored: int = 0
     strained: int = 0
     fast_slip: int = 0
+    far_slip: float = 0.0
     sucked: int = 0
     widening: float = 1.0
     doubts: list[str] = field(default_factory=list)

@@ -79,6 +79,7 @@ def write(problem: Problem, points: Sequence[Point], folder: Path, repeats: int)
 def draw(problem: Problem, points: Sequence[Point], folder: Path, repeats: int) -> None:
     """Error against CPU seconds, with the front, and against each count of work."""
     work = [name for name in (*WORK, "nodes") if spread(point.work.get(name, 0) for point in points) > TELLING]
+    work = work or list(WORK)[:1]
     figure, axes = sheet(
         f"{problem.name}  {problem.title}",
         f"Relative error ({problem.error}) by {problem.level}. Black is the default, the grey line the Pareto front;"

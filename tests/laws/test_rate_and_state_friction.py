@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from laws.spring_slider import CRITICAL, D_C, SIGMA, STIFF, V0, A, B, Sliders, friction, onsets, reference, steady
 from scipy.integrate import solve_ivp
 
+from fracflow._petsc import MPI
+from fracflow.advance.slip_rate import slip_of_states
 from fracflow.laws import LawStep
 from fracflow.laws.rate_and_state import aged
 
@@ -171,3 +175,26 @@ def test_a_cycle_has_the_period_of_an_ode_solver():
     law = friction(np.full(1, 1.5 * rate), wave_impedance=IMPEDANCE)
     times, rates = Sliders(law, np.full(1, stiffness), np.full(1, rate)).drive(2.1e5, 0.05, 1e-5)
     assert np.diff(onsets(times[:, 0], rates[:, 0], fast))[0] == pytest.approx(exact, rel=1e-4)
+
+
+def allowed(slip, before, after):
+    """Slip of a step over the allowed one, a tenth of D_c, at rates before it and after."""
+    accuracy = SimpleNamespace(slip_share=0.1, tolerance=None)
+    joints = SimpleNamespace(laws=(SimpleNamespace(law=friction(np.full(1, RATE)), sections=np.arange(1)),))
+    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=MPI.COMM_SELF))
+    states = (
+        SimpleNamespace(
+            sections=SimpleNamespace(
+                inelastic=np.array([[far, 0.0]]), history=[{"state": np.ones(1), "sliding_rate": np.full(1, rate)}]
+            )
+        )
+        for far, rate in ((0.0, before), (slip, after))
+    )
+    return slip_of_states(SimpleNamespace(operators=operators, scene=SimpleNamespace(accuracy=accuracy)), *states)
+
+
+def test_steps_follow_slip_that_slows_down():
+    """The larger of V dt/D_c and of the cube root of that by (ln V/V_old)^2, over the share."""
+    assert allowed(0.05 * D_C, RATE, RATE) == pytest.approx(0.5)
+    assert allowed(0.05 * D_C, RATE, RATE / np.e) == pytest.approx(0.05 ** (1 / 3) / 0.1)
+    assert allowed(1e-9 * D_C, RATE, RATE / np.e) == pytest.approx(0.01), "what hardly slips needs no short steps"

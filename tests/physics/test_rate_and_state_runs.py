@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
@@ -120,6 +121,10 @@ def test_creep_is_no_event_and_what_runs_away_is_one_with_inertia(folder):
     moving = kept["step/kind"] == 2
     before = kept["probe/middle/sliding_rate"][np.flatnonzero(moving)[0] - 1]
     assert IMPEDANCE * before == pytest.approx(1e-3 * 6e6, rel=0.5), "inertia comes in as a thousandth is radiated"
+    lines = re.findall(r"! .*a step with inertia slips (\S+) times", (folder / "auto" / "log.txt").read_text())
+    far = (kept["probe/middle/sliding_rate"][1:] * np.diff(kept["time"]))[moving[1:]].max() / 1e-4
+    told = float(lines[-1])
+    assert 1.0 < told <= 1.001 * far < 2.01 * told, "steps with inertia do not follow the rate of slip"
     still = history(folder, "auto")["energy/radiated"][moving]
     assert np.ptp(still) == 0.0, "waves carry it then"
 
@@ -133,11 +138,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_last_bit(folder):
 def test_slip_that_waves_limit_is_told_where_there_is_no_inertia(folder):
     told = run(load(folder / "slow.toml", ["accuracy.slip_share=0.5", "stage.load.end=83"]), folder / "fast").doubts
     assert len(told) == 1 and "slip of seam is so fast that waves limit it" in told[0] and 'kind = "auto"' in told[0]
-    kept = history(folder, "fast")
-    rates = kept["probe/middle/sliding_rate"]
-    slip, bends = rates[1:] * np.diff(kept["time"]) / 1e-4, np.diff(np.log(rates))
-    assert kept["time"][rates.argmax()] < 82.5 and rates[-1] < 1e-3 * rates.max(), "it has slipped, and sticks"
-    assert (slip * bends**2 <= 0.5**3 * (1 + 1e-9)).all(), "steps follow slip that slows down, too"
 
 
 @pytest.mark.starts_ranks
