@@ -14,6 +14,7 @@ from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.slip_rate import creeps
 from fracflow.advance.wells import (
     TRIES_A_LIMIT,
     most_tries,
@@ -241,7 +242,7 @@ class SingleStep:
         reached = reached_before(loads, state) if loads.limits else frozenset()
         if ops.flow is not None:
             network.update(state)
-        trial: Guess | None = None
+        trial = self._foreseen(stepper, state, request)
         failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
         for _ in range(most_tries(loads)):
             limited = solvers.limited(loads, reached)
@@ -278,6 +279,16 @@ class SingleStep:
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         refuse_outlets(request.time, spent, failed)
+
+    def _foreseen(self, stepper: Stepper, state: State, request: StepRequest) -> Guess | None:
+        """A first trial where friction follows the rate of slip: the walls go on as fast as in the step before, pressures stay.
+
+        From rest the rate of a trial is nothing, and Newton's method spends half of its iterations on finding how large it is.
+        """
+        if stepper.inertia or not creeps(self.solvers.model):
+            return None
+        moved = request.length * state.motion.velocity.getArray(readonly=True)
+        return moved, state.pressure.getArray(readonly=True).copy()
 
     def _checked(
         self, problem: StepProblem, new: State, loads: Loads, stores: bool
