@@ -70,7 +70,7 @@ def draw(moving: Run, slow: Run, folder: Path) -> list[Check]:
     for key in ("moving", "slow"):
         axes[key].set(xlim=(0, HALF), ylim=(0, most))
     axes["rate"].set(xlabel="time [s]", ylabel="rate of slip [m/s]", ylim=(1e-6, 5))
-    axes["rate"].legend(fontsize=7)
+    axes["rate"].legend(fontsize=7, handlelength=1.5, borderaxespad=0.0)
     axes["moment"].set(xlabel="time [s]", ylabel="moment per thickness [TN m/m]")
     axes["moment"].legend(fontsize=8)
     save(figure, folder, "inertia", COMMAND)
