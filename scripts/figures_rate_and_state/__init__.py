@@ -1,0 +1,1 @@
+"""Figures of friction that depends on the rate of slip: inertia in an event that injection sets off."""
