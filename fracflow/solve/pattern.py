@@ -92,7 +92,7 @@ def by_rows(matrix: PETSc.Mat, edges: Ints) -> Iterator[tuple[Ints, Ints, NDArra
 
 
 def csr_of(matrix: PETSc.Mat, first: int, last: int) -> tuple[Ints, Ints, NDArray[np.float64]]:
-    """Starts, columns and values of some of this rank's rows. Collective."""
+    """Starts (r + 1,), columns (n,) and values (n,) of r of this rank's rows. Collective."""
     rows = PETSc.IS().createStride(last - first, matrix.getOwnershipRange()[0] + first, 1, comm=matrix.getComm())
     part = rows_of(matrix, rows)
     found: tuple[Ints, Ints, NDArray[np.float64]] = part.getValuesCSR()
