@@ -44,7 +44,10 @@ class Handed:
 
 
 def handed_over(old: Model, new: Model, state: State) -> Handed:
-    """A state at rest of ``old``, on the joints of ``new``, whose initial stress takes up the difference. Collective."""
+    """A state at rest of ``old``, on the joints of ``new``, whose initial stress takes up the difference.
+
+    It changes ``new.operators.prestress``. Raises SolveError. Collective.
+    """
     ops, before = new.operators, old.operators
     loads = new.loads.standing()
     load = ops.layout.solid_vector()

@@ -57,7 +57,7 @@ class FarRock:
     @property
     def notes(self) -> tuple[str, ...]:
         """A line on how the rock is solved, which is a warning where series err by more than they should."""
-        line = f"rock is compressed: series for joints far from each other, in the place of entries, equal to {self.error:.1g}"
+        line = f"unmeshed rock: joints far from each other act by series, which err by {self.error:.1g} of the largest force"
         return (note(line),) if self.error <= FAULTY else (f'{line}: use method.rock_solver = "direct"',)
 
     @timed("FracFarRock")

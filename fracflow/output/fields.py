@@ -172,6 +172,15 @@ def set_aside(folder: Path, name: str, other: str) -> None:
     )
 
 
+def bring_back(folder: Path, name: str, other: str) -> None:
+    """Undo ``set_aside``, also half of it, before a writer of the family makes its index anew. Raises OSError."""
+    fields = folder / "fields"
+    for path in (fields / f"{other}_mesh.h5", *(path for _, path in list_steps(folder, other))):
+        if path.exists():
+            path.replace(fields / path.name.replace(other, name, 1))
+    (folder / f"{other}.xdmf").unlink(missing_ok=True)
+
+
 def read_mesh(folder: str | Path, name: str) -> tuple[Floats, Ints, dict[str, Any]]:
     """Points (n, 3), cells (m, k) with -1 padding, and the mesh's metadata (JSON is left as text). Raises InputError."""
     path = Path(folder) / "fields" / f"{name}_mesh.h5"

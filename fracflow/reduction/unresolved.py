@@ -19,10 +19,8 @@ from fracflow.scene.advice import GENTLE
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
-CARRIED, FAR = (
-    2.0,
-    0.1,
-)  # cells over joints, in so much of the area, from which on waves of single joints do not get out
+CARRIED = 2.0  # cells over joints, from which on waves of single joints do not get out
+FAR = 0.1  # share of the area in which cells are so large
 
 
 def unresolved(

@@ -24,7 +24,7 @@ from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, R
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import restoring, write_checkpoint
 from fracflow.output.events import Chatter
-from fracflow.output.fields import set_aside
+from fracflow.output.fields import bring_back, set_aside
 from fracflow.output.history import read_rows
 from fracflow.output.probes import measured, probe_record, well_record
 from fracflow.output.profiles import ProfileFile
@@ -102,6 +102,8 @@ class Files:
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
+            if model.unmeshed is None:  # a kill before the first checkpoint with a mesh left fields aside
+                bring_back(self.folder.path, "rock", ASIDE)
         self.event_seal = mesh_root(self.folder / EVENT_MESH) if model.unmeshed is not None else ""
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}

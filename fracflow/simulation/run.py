@@ -239,7 +239,14 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
         recorder.check()
         step, failure = _stepped(model, recorder, step, observer)
         while isinstance(failure, MeshNeeded):
-            model, step = _on_event_mesh(model, recorder, step, failure)
+            try:
+                model, step = _on_event_mesh(model, recorder, step, failure)
+            except (InputError, SolveError) as error:  # the state before is on disk
+                stage = model.scene.stage[step.stage]
+                failure = of_stage(stage, SolveError(f"an event needs a mesh: {error}"), model.scene)
+                recorder.log(f"stopped: {failure}")
+                recorder.last(step)
+                break
             step, failure = _stepped(model, recorder, step, observer, is_on_record=False)
         recorder.end()
         recorder.log_slip_at_crossings()
@@ -285,7 +292,7 @@ def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNee
     new = with_event_mesh(model, recorder.comm)
     found = handed_over(model, new, state)
     event = on_mesh(needed.progress, new, found.state, scene.stage[step.stage])
-    destroy(state, model.operators.stiffness)  # which is dense, and done with
+    destroy(state, model.operators.stiffness)  # large, and done with
     recorder.hand_over(new)
     sizes, units = new.operators.blocks.sizes, scene.unit_names
     mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))

@@ -267,10 +267,9 @@ class NewFactors:
 class KeptFactors:
     """LU of the matrix as it was in an earlier iteration of the step.
 
-    New factors are made
-    - where FGMRES has cost more than a factorisation, in one solve or by iterations beyond ``USUAL`` since the last factors
-    (so the total time is at most about twice the optimum); - for a while after they served in no solve: for twice as many
-    changes each time.
+    New factors are made where FGMRES has cost more than a factorisation, in one solve or by iterations beyond ``USUAL`` since
+    the last factors. So the total time is at most about twice the optimum. They are also made for a while after they served in
+    no solve, for twice as many changes each time.
     """
 
     def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:

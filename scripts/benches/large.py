@@ -47,7 +47,7 @@ PARTS = {
         "reduction.prepare:place",
         "reduction.prepare:unresolved",
         "reduction.prepare:unconnected_wells",
-        "simulation.recorder:pre_run_checks",
+        "simulation.files:pre_run_checks",
     ],
     "distribution": ["model.setup:distribute"],
     "assembly": ["model.setup:assemble", "model.setup:with_terms", "model.setup:assemble_loads"],

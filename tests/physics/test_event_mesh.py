@@ -9,15 +9,17 @@ from fracflow._petsc import MPI
 from fracflow.advance.event_rock import handed_over
 from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping, stepper_of
-from fracflow.errors import InputError, Interrupted
+from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh import around
 from fracflow.mesh.data import is_unmeshed
 from fracflow.mesh.store import load_mesh
 from fracflow.model.balance import static_balance_of
 from fracflow.output import list_steps, read_events, read_history
+from fracflow.output.status import FAILED, read_status
 from fracflow.reduction.event_mesh import with_event_mesh
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import resume, run
 from fracflow.solve.request import StepRequest
 
@@ -174,8 +176,24 @@ def test_no_event_needs_no_mesh(scene, shared_tmp, monkeypatch):
     run(load(scene, ["stage.0.end=100"]), shared_tmp / "quiet")
     assert not (shared_tmp / "quiet" / "event_mesh.h5").exists()
     assert not history_of(shared_tmp / "quiet")["energy/change_of_rock"].any()
-    with pytest.raises(InputError, match="Gmsh: cannot"):
-        run(load(scene), shared_tmp / "asked")
+    folder = shared_tmp / "asked"
+    with pytest.raises(SolveError, match=r"an event needs a mesh: .*Gmsh: cannot$"):
+        run(load(scene), folder)
+    status = read_status(folder)
+    assert status.word == FAILED and "Gmsh: cannot" in status.line and "fracflow resume" in status.line
+    assert "Gmsh: cannot" in (folder / "log.txt").read_text()
     monkeypatch.undo()
-    resume(shared_tmp / "asked")  # the state before was saved
-    assert list_steps(shared_tmp / "asked", "rock_before") and list_steps(shared_tmp / "asked", "rock")
+
+    def is_killed(self, model):
+        hand_over(self, model)
+        raise KeyboardInterrupt
+
+    hand_over = Recorder.hand_over
+    monkeypatch.setattr(Recorder, "hand_over", is_killed)
+    with pytest.raises(KeyboardInterrupt):
+        resume(folder)  # the state before was saved
+    monkeypatch.undo()
+    resume(folder)
+    before = list_steps(folder, "rock_before")
+    assert before and list_steps(folder, "rock")
+    assert (folder / "rock_before.xdmf").read_text().count("<Time ") == len(before)
