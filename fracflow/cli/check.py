@@ -28,7 +28,7 @@ from fracflow.solve.condensed_cost import planned as solved
 from fracflow.solve.rock_cost import NUMBER, direct, rock_choice, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
-SERIES = 4000.0  # the same for an unknown of compressed rock, by scripts/bench compressed
+SERIES = 4000.0  # the same for an unknown of rock by multipoles, by scripts/bench multipoles
 PRODUCTS = 10  # in a linear solve there
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
@@ -112,11 +112,11 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     solves = steps > 0 or more
     rock = rock_choice(model.scene, MPI.COMM_SELF, int(model.operators.layout.solid_starts[-1]))
     memory = rock.cost.bytes if solves else without_solves(unknowns)
-    is_compressed = model.operators.far is not None
+    by_multipoles = model.operators.far is not None
     if model.scene.is_unbounded:
         layout = model.operators.layout
         moving = float(int(layout.solid_starts[-1]) - len(held_walls(model.operators.blocks)))
-        numbers = SERIES if is_compressed else DENSE * moving
+        numbers = SERIES if by_multipoles else DENSE * moving
         memory = without_solves(0) + NUMBER * numbers * moving
     found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
@@ -127,7 +127,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     if solves:
         lasted = seconds_of_factors(model.operators)
         each, made = lasted * (1.0 + BESIDES) + OWN, f"a factorisation, and one took {lasted:.2g} s here"
-        if is_compressed:
+        if by_multipoles:
             product = seconds_of_product(model.operators)
             each += PRODUCTS * product
             made = f"{PRODUCTS} products of {product:.2g} s and {made}"

@@ -20,7 +20,7 @@ from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from fracflow.model.compressed import FarRock
+    from fracflow.model.multipole_rock import FarRock
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Operators:
 
     ``terms`` are boundary conditions and the like; ``stiffness`` has K of theirs in it, ``damping`` is the sum of their C,
     None where none has one. ``inward`` is P of ``contact_mass``, which ``mass`` has in it; None where every node carries its
-    own mass. Where rock is compressed, ``stiffness`` has entries of near walls alone, and ``far`` is the rest of K_s.
+    own mass. Where far joints act by multipoles, ``stiffness`` has entries of near walls alone, and ``far`` is the rest of K_s.
     """
 
     blocks: Blocks
@@ -130,10 +130,10 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
         refuse_steep_start(blocks, joints)
     far = None
     if scene.is_unbounded:
-        from fracflow.model import compressed, unbounded  # few scenes need them
+        from fracflow.model import multipole_rock, unbounded  # few scenes need them
 
-        if compressed.is_compressed(scene, blocks.sizes.joints):
-            stiff, far = compressed.stiffness(blocks, scene)
+        if multipole_rock.by_multipoles(scene, blocks.sizes.joints):
+            stiff, far = multipole_rock.stiffness(blocks, scene)
         else:
             stiff = unbounded.stiffness(blocks, scene)
         weight = unbounded.mass(blocks)

@@ -83,11 +83,11 @@ def _method(scene: Tables) -> Iterator[Fault]:
             ("method", "rock_solver"),
             f'contradicts coupling = "{method.coupling}"; use coupling = "auto", or "auto" here',
         )
-    if method.rock_solver == "compressed" and not scene.is_unbounded:
-        why = 'is "compressed", which is rock that is not meshed: use "auto", or geometry.domain = "unbounded"'
+    if method.rock_solver == "multipoles" and not scene.is_unbounded:
+        why = 'is "multipoles", which is rock that is not meshed: use "auto", or geometry.domain = "unbounded"'
         yield ("method", "rock_solver"), why
-    if method.rock_solver == "compressed" and method.coupling in ("fixed-point", "condensed"):
-        why = 'needs all entries of the rock, and method.rock_solver = "compressed" has none of far joints: use "auto"'
+    if method.rock_solver == "multipoles" and method.coupling in ("fixed-point", "condensed"):
+        why = 'needs all entries of the rock, and method.rock_solver = "multipoles" has none of far joints: use "auto"'
         yield ("method", "coupling"), f'is "{method.coupling}", which {why}'
     if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
         yield (

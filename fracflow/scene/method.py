@@ -124,11 +124,11 @@ class Method(StepperKeys):
     (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of time
     step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic with multigrid,
     where options are given to it, and where the direct solve does not converge"""
-    rock_solver: Literal["auto", "direct", "multigrid", "compressed"] = "auto"
+    rock_solver: Literal["auto", "direct", "multigrid", "multipoles"] = "auto"
     """how the rock of a coupled step is solved: by a factorisation; or by multigrid with strips along the fractures, whose
     iterations do not grow as joints slide or open. Auto takes the faster one by an estimate: multigrid from half a million
     displacements on, and where factors would not fit into memory. Rock that is not meshed has an entry for each two of its
-    joints with direct; compressed, which auto takes from 500 joints on, has series for joints far from each other, equal to
+    joints with direct; multipoles, which auto takes from 500 joints on, has series for joints far from each other, equal to
     1e-10, and iterations with factors of near entries"""
     fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = "plain"
     """how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson, or with

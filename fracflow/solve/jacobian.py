@@ -26,7 +26,7 @@ from fracflow.model.operators import Operators
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 
 if TYPE_CHECKING:
-    from fracflow.model.compressed import FarRock
+    from fracflow.model.multipole_rock import FarRock
 
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")

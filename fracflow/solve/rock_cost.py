@@ -127,10 +127,10 @@ class RockChoice:
         """As the scene says, or by the cost.
 
         ``auto`` takes multigrid where it is expected to take clearly less time: LU needs no estimate of its iterations. It
-        does so too where the factors of LU do not fit into the ``memory`` at hand [bytes]. So does ``compressed``, which says
+        does so too where the factors of LU do not fit into the ``memory`` at hand [bytes]. So does ``multipoles``, which says
         nothing on the mesh of an event.
         """
-        if method.rock_solver not in ("auto", "compressed"):
+        if method.rock_solver not in ("auto", "multipoles"):
             is_asked = method.rock_solver == "multigrid"
             return cls(is_asked, unknowns, memory, f'method.rock_solver = "{method.rock_solver}"')
         if method.coupling == "whole-lu":

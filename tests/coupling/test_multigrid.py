@@ -109,7 +109,7 @@ def test_scene_or_cost_decides():
         (600_000, "auto", {}, much, "shell"),
         (600_000, "auto", {key: "asm"}, much, "asm"),
         (600_000, "direct", {}, 0.0, "fieldsplit"),
-        (600_000, "compressed", {}, much, "shell"),  # of the mesh of an event
+        (600_000, "multipoles", {}, much, "shell"),  # of the mesh of an event
         (100_000, "auto", {}, rock_cost.direct(100_000).bytes, "fieldsplit"),
         (100_000, "auto", {}, 0.99 * rock_cost.direct(100_000).bytes, "shell"),
         (0, "multigrid", {}, much, "shell"),

@@ -6,7 +6,7 @@ from figures_verification.runs import solve
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError, NotConverged
-from fracflow.model.compressed import is_compressed
+from fracflow.model.multipole_rock import by_multipoles
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
@@ -97,14 +97,14 @@ def test_far_joints_as_series_are_as_all_entries():
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(one).max())
 
 
-SOLVERS = "direct", "compressed"
+SOLVERS = "direct", "multipoles"
 
 
 def test_far_joints_on_one_rank_and_on_all(shared_tmp):
     """K_s u of displacements that follow from the numbers of nodes; on one rank by all entries too."""
     (shared_tmp / "scene.toml").write_text(NETWORK)
     comm, forces = MPI.COMM_WORLD, []
-    for way, ranks in (("compressed", comm), ("compressed", MPI.COMM_SELF), ("direct", MPI.COMM_SELF)):
+    for way, ranks in (("multipoles", comm), ("multipoles", MPI.COMM_SELF), ("direct", MPI.COMM_SELF)):
         settings = ["geometry.size_at_fractures=20", f"method.rock_solver={way}"]
         ops = prepare(load(shared_tmp / "scene.toml", settings), ranks).operators
         block, moved, force = ops.blocks.solid, ops.layout.solid_vector(), ops.layout.solid_vector()
@@ -220,14 +220,14 @@ def test_what_there_is_not_is_refused(setting, tmp_path):
 
 
 @pytest.mark.serial
-def test_rock_is_compressed_where_that_pays_and_never_unasked(tmp_path):
+def test_rock_by_multipoles_where_that_pays_and_never_unasked(tmp_path):
     (tmp_path / "scene.toml").write_text(NETWORK)
 
     def chosen(joints, *settings):
-        return is_compressed(load(tmp_path / "scene.toml", list(settings)), joints)
+        return by_multipoles(load(tmp_path / "scene.toml", list(settings)), joints)
 
     assert [chosen(joints) for joints in (100, 501, 100_000)] == [False, True, True]
-    assert chosen(100, "method.rock_solver=compressed")
+    assert chosen(100, "method.rock_solver=multipoles")
     assert not chosen(5000, "method.rock_solver=direct") and not chosen(5000, "method.coupling=fixed-point")
     with pytest.raises(InputError, match=r'rock_solver = "direct": 5001 joints.*5000: take "auto"'):
         chosen(5001, "method.rock_solver=direct")
@@ -236,13 +236,13 @@ def test_rock_is_compressed_where_that_pays_and_never_unasked(tmp_path):
 
 
 @pytest.mark.serial
-def test_compressed_rock_is_unmeshed_and_has_no_factors_of_its_own(tmp_path):
+def test_rock_by_multipoles_is_unmeshed_and_has_no_factors_of_its_own(tmp_path):
     (tmp_path / "scene.toml").write_text(NETWORK)
-    compressed = "method.rock_solver=compressed"
+    by_multipoles = "method.rock_solver=multipoles"
     with pytest.raises(InputError, match=r"rock_solver.*not meshed"):
-        load(tmp_path / "scene.toml", ["geometry.domain=[0, 0, 1000, 800]", "load=[]", compressed])
+        load(tmp_path / "scene.toml", ["geometry.domain=[0, 0, 1000, 800]", "load=[]", by_multipoles])
     with pytest.raises(InputError, match=r"coupling.*far joints"):
-        load(tmp_path / "scene.toml", ["method.coupling=fixed-point", compressed])
+        load(tmp_path / "scene.toml", ["method.coupling=fixed-point", by_multipoles])
 
 
 @pytest.mark.serial

@@ -62,7 +62,7 @@ CASES = {
     ),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "unbounded rock": (NETWORK, ["stage.0.steps=4"], (1, 3)),
-    "compressed rock": (NETWORK, ["stage.0.steps=4", "method.rock_solver=compressed"], (1, 3)),
+    "multipoles": (NETWORK, ["stage.0.steps=4", "method.rock_solver=multipoles"], (1, 3)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "parts of a step": ("failures/closing_joint", ["accuracy.max_iterations=6"], (4, 7)),

@@ -70,10 +70,10 @@ class FarRock:
         return result
 
 
-def is_compressed(scene: Scene, joints: int) -> bool:
+def by_multipoles(scene: Scene, joints: int) -> bool:
     """Whether the rock of so many joints has series in place of far entries. Raises InputError where it would have to."""
     method = scene.method
-    if not scene.is_unbounded or method.rock_solver == "compressed":
+    if not scene.is_unbounded or method.rock_solver == "multipoles":
         return scene.is_unbounded
     if method.rock_solver == "auto" and method.coupling not in ("fixed-point", "condensed"):
         return joints > FROM

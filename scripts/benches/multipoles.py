@@ -1,4 +1,4 @@
-"""Unmeshed rock of many joints, compressed and with all entries: compressed.py [JOINTS...] [--dense N] [--ranks N...].
+"""Unmeshed rock of many joints, by multipoles and with all entries: multipoles.py [JOINTS...] [--dense N] [--ranks N...].
 
 Random fractures of 50 joints, which cross, in stress that makes some slide: a pump into one of them, and shear that rises far
 away. Each size runs in a process of its own, by series of far walls and, up to ``--dense`` joints, with all entries. It prints
@@ -108,7 +108,7 @@ def measured(joints: int, steps: int, way: str, ranks: int, folder: Path) -> dic
 
 def main() -> int:
     """Measure and print; 1 where a bar is missed."""
-    parser = argparse.ArgumentParser(prog="scripts/bench compressed", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="scripts/bench multipoles", description=__doc__.splitlines()[0])
     parser.add_argument("joints", nargs="*", type=int, default=[500, 1000, 2000, 5000])
     parser.add_argument("--dense", type=int, default=2000, help="most joints that are run with all entries too")
     parser.add_argument("--ranks", type=int, nargs="*", default=[], help="run each size on so many ranks too")
@@ -120,7 +120,7 @@ def main() -> int:
     )
     with tempfile.TemporaryDirectory() as folder:
         for joints in given.joints:
-            runs = [("compressed", 1), *(("compressed", ranks) for ranks in given.ranks)]
+            runs = [("multipoles", 1), *(("multipoles", ranks) for ranks in given.ranks)]
             first, runs = None, runs + ([("direct", 1)] if joints <= given.dense else [])
             for way, ranks in runs:
                 found = measured(joints, given.steps, way, ranks, Path(folder))
