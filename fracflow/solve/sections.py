@@ -134,7 +134,8 @@ class FlowOnJoints:
         through = conduction.conductance[:, None] * np.abs(conduction.pressure)
         terms = [float(np.abs(each).max(initial=0.0)) for each in (swept, through)]
         known = round_off_of_uptake(network, problem.fluid_before, conduction.compression, problem.alphas.b1)
-        beyond = float((np.abs(flow.getArray(readonly=True)) - known).max(initial=0.0))
+        size = np.abs(flow.getArray(readonly=True))
+        beyond = float(np.subtract(size, known, out=size.copy(), where=np.isfinite(size)).max(initial=0.0))
         left, *sizes = over_ranks([beyond, *terms, largest(given)], self.operators.layout.comm)
         return left / max(*sizes, TINY), slope.transpose(0, 2, 1).reshape(-1, 2)
 
