@@ -19,7 +19,7 @@ MOST = 16  # points in a cell that is not divided
 SEEN = 0.5  # radius of a cell over the least distance to it from another that is far
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Cells:
     """Cells of a tree, the whole first; both children of a cell follow each other, and cells of a level too.
 
@@ -37,7 +37,7 @@ class Cells:
     leaf: Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class CellPairs:
     """Pairs (m, 2) of cells that together have each pair of points once, and each pair of cells either way round.
 

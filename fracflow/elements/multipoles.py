@@ -24,7 +24,7 @@ AT_ONCE = 1 << 11  # pairs of cells whose series fit a processor's cache
 STEP = 4  # between the orders of series
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Hats:
     """Jumps that one displacement each makes: linear along the segments that meet at a place, and nothing beyond.
 

@@ -12,7 +12,7 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RockCells:
     """Cells of this rank, and reductions over those of all, which are collective.
 

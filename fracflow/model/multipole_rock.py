@@ -33,7 +33,7 @@ SAMPLES = 4  # walls at which the error of a product is measured
 MOST_DENSE = 5000  # joints whose entries are all stored: 1e8 of them
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Walls:
     """All walls of all ranks that are not held, in the order of their numbers in the split mesh.
 

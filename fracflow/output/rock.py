@@ -82,7 +82,7 @@ def _geometry(blocks: Blocks) -> dict[str, Distributed]:
     return _distributed(blocks, {"point/": points, "cell/": numbers[block.cells].astype(np.int64)})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Field:
     """A field of a rank's rock, computed for the rows that are asked for: all fields of all rows may fill the memory.
 

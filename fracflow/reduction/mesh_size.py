@@ -131,7 +131,7 @@ class Need:
     where: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class WorstCell:
     """The cell that carries waves worst: its size [length], rock, middle (dim,) and shear speed; the lowest shear speed."""
 

@@ -89,7 +89,7 @@ def _keeping_waves(view: CheckInput, far: float) -> Iterator[str]:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class WeakJoints:
     """Joints (j,) where slip may run away.
 
@@ -122,7 +122,7 @@ class WeakJoints:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Beside:
     """Growth (f,) of cells beside each fracture over the distance, and the least reach (f,) there [length]."""
 

@@ -21,7 +21,7 @@ from fracflow.model.layout import rows_of
 AT_ONCE = 50_000  # rows
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Entries:
     """Entries of this rank's rows in one of the parts: starts (rows + 1,), global columns (n,) in PETSc's integers."""
 
@@ -34,7 +34,7 @@ class Entries:
         return np.repeat(np.arange(first, last), np.diff(starts)) * total + self.columns[starts[0] : starts[-1]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Pattern:
     """Rows of this rank with the entries of all parts.
 
