@@ -22,7 +22,7 @@ from fracflow.scene.time_table import AT_ONCE
 from fracflow.solve.request import LoadStep, StepRequest
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Restrained:
     """Advances under the remainder of a ``force`` that is removed in equal increments."""
 

@@ -34,7 +34,7 @@ BEYOND = 1.25  # a step towards an event looks so far past its own end for it
 MANY = 16  # sliding sections: a crack, whose front passes sections one by one, and no block that sticks and slips
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Event:
     """The first event in a step, with those just behind it.
 

@@ -166,7 +166,7 @@ def to_the_next(scene: Scene, number: int, step: float) -> int:
     return min(MOST_HALVED, math.ceil(math.log2(step / after.time_step)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class StableSlip:
     """Refuses steps without inertia in which slip goes on by itself; where strength falls over a length of slip.
 
@@ -185,7 +185,7 @@ class StableSlip:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class UpToLimitPoint:
     """Distinguishes a limit point from other failures of a stage without inertia.
 

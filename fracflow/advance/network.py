@@ -34,7 +34,7 @@ BALANCED = 1e-12  # of the sum of the flow rates' sizes
 AGREES = 1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has few digits
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Closed:
     """Loads with the undrained components closed, and the wells of each."""
 

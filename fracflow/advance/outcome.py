@@ -12,7 +12,7 @@ from fracflow.solve.request import StepRequest
 Log = Callable[[str], None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Outcome:
     """End and cost of an advance.
 

@@ -58,7 +58,7 @@ def longest_step(model: Model, state: State) -> float:
     return float(model.operators.layout.comm.allreduce(shortest, op=MPI.MIN)) * model.scene.accuracy.slip_share
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class BySlipRate:
     """Adds the slip of a substep without inertia, over that allowed, to its outcome, as if it were an error."""
 

@@ -21,7 +21,7 @@ SETTLED = 0.3  # of that: what slip may radiate as inertia goes
 FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Slipped:
     """How fast and how far a step without inertia slips.
 
@@ -56,7 +56,7 @@ class Slipped:
         return self.share <= AHEAD * SHARE and self.evolved <= AHEAD
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Tried:
     """A step without inertia.
 

@@ -61,7 +61,7 @@ class Trial:
     why: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Step:
     """A state worth recording, the stage it belongs to, and what it cost.
 

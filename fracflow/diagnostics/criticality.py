@@ -15,7 +15,7 @@ from fracflow.scene.scene import Scene
 SHEAR_ROUND_OFF = 1e-14  # of the normal traction: less shear is none
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Criticality:
     """Joint ends (j, 2) under the initial stress and pressure; NaN where the fracture's law has no friction.
 

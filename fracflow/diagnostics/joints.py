@@ -18,7 +18,7 @@ from fracflow.scene.scene import Scene
 Bools = np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class CheckJoints:
     """Values of all joints (j,), or at their two ends (j, 2); NaN where the scene does not say.
 

@@ -221,7 +221,7 @@ class JointLaw(Protocol):
         return np.zeros(len(slip))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Leakage:
     """Fluid that leaves a fracture through both walls together, per area of it.
 

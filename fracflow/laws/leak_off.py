@@ -22,7 +22,7 @@ SLOW = 1e-3  # a rate times the longest time, below which an exponential stays 1
 FAST = 30.0  # a rate times the shortest time, above which it is over at once
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Exponentials:
     """1/sqrt(pi t) = sum w exp(-r t) from the shortest to the longest time.
 

@@ -13,7 +13,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.slabs import Order
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SolidBlock:
     """Cells and split nodes of one rank; owned nodes come first, ghosts after them.
 
@@ -69,7 +69,7 @@ class SolidBlock:
     node_starts: Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class JointBlock:
     """Joints owned by one rank (the rank of the bottom cell).
 
@@ -92,7 +92,7 @@ class JointBlock:
     along: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FlowBlock:
     """Flow nodes owned by one rank.
 
@@ -118,7 +118,7 @@ class Sizes:
     cut_joints: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Blocks:
     """Everything of the mesh that one rank holds."""
 

@@ -22,7 +22,7 @@ MOST_MOVED = 0.5  # of a node's mass: a block that would need more to keep its c
 MOMENT_ROUND_OFF = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ContactNodes:
     """Wall nodes, and who moves their mass.
 

@@ -12,7 +12,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RawMesh:
     """A conforming mesh in which fractures are still facets shared by two cells.
 
@@ -42,7 +42,7 @@ class RawMesh:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SplitMesh:
     """The mesh with fractures split into zero-thickness joints, and the network of flow elements on them.
 

@@ -21,7 +21,7 @@ FACETS = {
 LARGEST_KEY = 2**62
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class HalfFacets:
     """Facets as their cells see them: a facet inside the mesh appears twice.
 
@@ -35,7 +35,7 @@ class HalfFacets:
     corner: Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Matches:
     """Half facets that belong to wanted facets, as rows of the half facets.
 

@@ -18,7 +18,7 @@ At = Sequence[float] | Floats | str | tuple[str, str]
 """Coordinates, the name of a point, or (fracture, "start" | "end")."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FracturePlace:
     """A flow node and the joint ends that meet there, or a point between the two ends of a joint.
 
@@ -45,7 +45,7 @@ class FracturePlace:
         return tuple(node for place in self.within or (self,) for node in place.nodes)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RockPlace:
     """A node of the rock and the cells around it, or a point inside a cell.
 

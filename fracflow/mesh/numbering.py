@@ -14,7 +14,7 @@ from fracflow.mesh.locate import representatives
 from fracflow.mesh.share import Share
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Common:
     """Values of a mesh that all ranks know.
 

@@ -37,7 +37,7 @@ GROWTH = 0.3  # of the mesh size, per length away from the fractures
 SMALL = 0.25  # of the size at fractures: smaller cells are reported
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class GeometrySpec:
     """A domain cut by fracture traces.
 

@@ -9,7 +9,7 @@ import numpy as np
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Edges:
     """Edges of plane cells, which a mesh needs whose cells are to be cut. The two faces of a joint are two edges.
 
@@ -37,7 +37,7 @@ class Edges:
     cell_body: Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Share:
     """Some cells of a split mesh with what is on them. Numbers are those of the mesh, unless they are local.
 
@@ -89,7 +89,7 @@ class Share:
     edges: Edges | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Owners:
     """Values of all nodes, flow nodes and edges of a split mesh, from which shares are taken; see ``Share``.
 

@@ -23,7 +23,7 @@ AXES = ("x", "y", "z")
 APART = 1e-12  # of the largest motion there: less is round-off of its tables
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PrescribedValues:
     """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each.
 

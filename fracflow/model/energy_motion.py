@@ -16,7 +16,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import State
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Scheme:
     """The rule of a step as the energy balance needs it; the first three as in ``integrators.Stepper``.
 

@@ -44,7 +44,7 @@ def is_transposed(storage: str) -> bool:
     return force == volume
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Compression:
     """Compressible fluid at the joint ends (j, 2) beyond the room between the walls.
 
@@ -60,7 +60,7 @@ class Compression:
     slope: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Conduction:
     """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
 
@@ -96,7 +96,7 @@ class Conduction:
         return between, slope
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Flow:
     """Operators of the network.
 

@@ -26,7 +26,7 @@ from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SectionGroup:
     """Sections with equal numbers of unknowns: numbers (n,), their unknowns (n, k), and their rows of G (n, dim, k)."""
 
@@ -79,7 +79,7 @@ def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
     return tuple(groups)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class LawGroup:
     """Sections that follow one law: their numbers (n,), and the law with its parameters (n,)."""
 
@@ -87,7 +87,7 @@ class LawGroup:
     law: JointLaw
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Massless:
     """Strains (s, dim) in which a wall has no mass; ``jump`` is G P, the strains of what carries its mass."""
 
@@ -95,7 +95,7 @@ class Massless:
     jump: PETSc.Mat
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Walls:
     """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), and step."""
 
@@ -106,7 +106,7 @@ class Walls:
     plastic: PlasticSlip | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 

@@ -12,7 +12,7 @@ from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
 from fracflow.mesh.data import Floats, Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Layout:
     """Sizes and numbers of the solid and flow unknowns, apart and together."""
 
@@ -100,7 +100,7 @@ def add_transposed(matrix: PETSc.Mat, values: Floats, result: PETSc.Vec) -> None
     vector.destroy()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Rows:
     """Local rows of a sparse matrix whose columns are global numbers."""
 

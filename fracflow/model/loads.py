@@ -31,7 +31,7 @@ TimeFunction = Callable[[float], float]
 Controls = Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Pattern:
     """A vector times a function of time, times a load factor where one is named; of the initial stress, or of a well."""
 
@@ -42,7 +42,7 @@ class Pattern:
     well: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Limit:
     """A pressure that a well's flow rate must not bring about: ``sign`` +1 if it is the highest, -1 if the lowest.
 

@@ -24,7 +24,7 @@ FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less
 MOST_NAMES = 12  # fractures that a line lists
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class NetworkComponent:
     """A part of the network, the same on every rank.
 
@@ -42,7 +42,7 @@ class NetworkComponent:
         return f"{names} ({len(self.nodes)} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Closure:
     """The row in place of the balance at one node of an undrained component without storage.
 

@@ -41,7 +41,7 @@ class Scales:
         return float(np.finfo(float).eps) * self.force * self.displacement * unknowns
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Operators:
     """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
 

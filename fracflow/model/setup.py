@@ -44,7 +44,7 @@ from fracflow.scene.values import AlongFracture, FractureEnd, Position
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Placed:
     """Where the scene's names sit on the mesh.
 
@@ -90,7 +90,7 @@ class FarSides:
     why: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Model:
     """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where cells are cut on the ranks.
 

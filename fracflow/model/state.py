@@ -24,7 +24,7 @@ class MotionValues(NamedTuple):
     acceleration: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Motion:
     """Displacement, velocity and acceleration of the solid unknowns."""
 
@@ -50,7 +50,7 @@ class Motion:
         destroy(self.displacement, self.velocity, self.acceleration)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Sections:
     """Response of the laws at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
 
@@ -79,7 +79,7 @@ class Sections:
         return elastic
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Forces:
     """Terms of the balances at one instant, kept for the energy balance.
 
@@ -112,7 +112,7 @@ class Forces:
         destroy(self.load, self.support, self.conduction, self.source, self.anchor, *self.of_terms.values())
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PreviousStep:
     """Values of the step before in the same stage, which a multistep rule without inertia uses.
 
@@ -174,7 +174,7 @@ class FluidVolumes:
         return self.wells.get(FRACTURES, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class State:
     """Everything at the end of a step.
 

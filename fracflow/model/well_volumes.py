@@ -17,7 +17,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import FRACTURES, FluidVolumes, State
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class WellStep:
     """Wells in a step.
 

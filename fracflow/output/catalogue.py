@@ -21,7 +21,7 @@ RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
 """Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FaultEnds:
     """The joint ends (n,) of all fractures: their nodes, and the factors of slip in moment and energy.
 
@@ -45,7 +45,7 @@ class FaultEnds:
         return 2.0 / 3.0 * (math.log10(moment * self.depth * self.to_si) - 9.05)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Instant:
     """Input of the catalogue from a recorded state: plastic slip, shear traction, slip rate (n, dim-1), sliding flags (n,).
 

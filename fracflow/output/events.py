@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FractureNodes:
     """Where each fracture node is.
 
@@ -55,7 +55,7 @@ class FractureNodes:
     probe: Sequence[str]
 
 
-@dataclass(eq=False)
+@dataclass
 class _Running:
     """Events of one kind now under way: row (n,), -1 at a node that has none, slip (n, dim-1) before, peak rate (n,)."""
 

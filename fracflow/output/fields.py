@@ -236,7 +236,7 @@ def _write(path: Path, arrays: Mapping[str, Slabs], attrs: Mapping[str, Any]) ->
     write_slabs(path, arrays, notes, durable=False)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Each:
     """Slabs made of those of another array."""
 

@@ -23,7 +23,7 @@ COLUMNS = {
 STATES = ("sticks", "has slipped", "slips", "open")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FractureTable:
     """Values of the fractures (n,) at a time.
 

@@ -145,7 +145,7 @@ def _combined(place: FracturePlace, snapshot: Snapshot, wall: int) -> Floats:
     return np.tensordot(place.shares, [snapshot.nodes[end.nodes[wall]] for end in place.within], 1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Cells:
     """Cells of the rock and the motion of their nodes; values (m, ...) of cells are computed at first use.
 

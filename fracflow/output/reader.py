@@ -33,7 +33,7 @@ STRESS_ROUND_OFF = 1e-13  # of the largest stress: it is a difference of large o
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FractureFields:
     """Fracture fields at the start of the dynamics, and the last that were written.
 
@@ -116,7 +116,7 @@ class FractureFields:
         return np.asarray(nodes[np.argsort(along, kind="stable")])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RunData:
     """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium.
 

@@ -55,7 +55,7 @@ class Columns:
         return name in self._places
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Sampler:
     """The recorded values of this rank.
 
@@ -224,7 +224,7 @@ class JointEnds:
         return comm.allreduce(int(ends.sum())), most
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Snapshot:
     """A state on rank 0.
 

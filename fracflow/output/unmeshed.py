@@ -48,7 +48,7 @@ def walls(mesh: SplitMesh, place: FracturePlace) -> Floats:
     return np.stack([start - beside, start + beside])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class UnmeshedRock:
     """Values at points (m, 2) of the motion (n, 3, 2) of all walls, as formulas of the home "cell" and "node" take them.
 
@@ -124,7 +124,7 @@ class UnmeshedRock:
         return np.zeros(len(self.points))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class AtPoint:
     """The same at a probe, in the rock or on a fracture: on its top wall, and ``bottom`` on the other."""
 

@@ -50,7 +50,7 @@ Use = Callable[[Floats], Floats]
 """Stress (f,) added to the initial one -> the largest share of its strength that each fracture (f,) uses."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Fractures:
     """Values of each fracture (f,), and of the rock around them, that the plan decides by.
 

@@ -58,7 +58,7 @@ class Unit:
         return f"{word} [{self.name}]" if self.name else word
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Series:
     """A line of a chart: x and y (n,), and its look, "line", "dots" or "dash"."""
 
@@ -73,7 +73,7 @@ class Series:
         return replace(self, x=np.repeat(x, 2)[1:-1], y=np.repeat(y[1:], 2)) if len(x) > 1 else self
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Chart:
     """A chart with the labels of its axes; ``span`` is what x reaches over at least."""
 
@@ -120,7 +120,7 @@ def rounded(values: ArrayLike) -> list[float]:
     return [float(f"{value:.6g}") for value in np.asarray(values, dtype=float).tolist()]
 
 
-@dataclass(eq=False)
+@dataclass
 class RunReport:
     """A run folder, read as far as it can be; ``faults`` are lines on what cannot.
 

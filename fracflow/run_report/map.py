@@ -32,7 +32,7 @@ MOST_EVENTS = 5_000
 MOST_FILES = 60  # of fields that are read
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Frames:
     """Fields along the fractures at some states.
 

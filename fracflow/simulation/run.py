@@ -80,7 +80,7 @@ def run(
             undone = {**undone, **needed.undone}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Begun:
     """A run that is ready to go on from a step; ``clock`` is when it was begun [s]."""
 

@@ -20,7 +20,7 @@ from fracflow.model.layout import local_rows
 COUPLES = 1e-13  # of the largest entry: less is round-off of two equal numbers
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Exchange:
     """Rows of this rank's sections, brought to where their clusters are solved for, and back.
 
@@ -51,7 +51,7 @@ class Exchange:
         return result
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Batch:
     """Clusters of m sections each: their rows (c, m) in the order of the exchange, and G M^-1 G' (c, m dim, m dim)."""
 
@@ -59,7 +59,7 @@ class Batch:
     compliance: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Clusters:
     """All clusters of a scene; ``batches`` are those this rank solves for."""
 

@@ -42,7 +42,7 @@ Rows = tuple[Ints, Floats]
 """Motions that are resisted, a row each: k motions of blocks (n, k), and by how much each counts (n, k)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Frames:
     """Where the blocks turn and how large they are: middle (p, 2), size (p,)."""
 

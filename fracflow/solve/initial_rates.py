@@ -24,7 +24,7 @@ from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class EnclosedComponent:
     """A network component that nothing drains.
 

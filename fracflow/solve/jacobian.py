@@ -34,7 +34,7 @@ ROCK = ("stiffness", "mass", "damping")
 AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FreePart:
     """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 

@@ -16,7 +16,7 @@ from fracflow.scene.time_table import JUST_AFTER, Around
 from fracflow.solve.residual import CANCELLATION, largest
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Unapplied:
     """Part of the prescribed displacements and pressures (an array a support, or well) unapplied at the end of a step."""
 
@@ -44,7 +44,7 @@ class Unapplied:
         ))  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class MovingTerms:
     """M (inertia a_new + inertia_old a) + balance_old S + C v_new - what comes in, as ``stepping.Alphas`` weighs them.
 
@@ -94,7 +94,7 @@ class MovingTerms:
         destroy(self.terms, self.before)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class TermsOfStep:
     """Terms with a C over one step, ``acting``, and the forces ``incoming`` by them at its end; none without inertia.
 

@@ -22,7 +22,7 @@ MOST_GROWTH = 1.0 + 2.0**0.5
 """Of steps in a row: up to here BDF2 is stable. A longer one after a short ramp would carry the walls on at its speed."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class StepRequest:
     """One step that is to be made from a state.
 
@@ -66,7 +66,7 @@ class StepRequest:
         return replace(asked, length=share * self.length, next_length=self.step.after(to), hold=self.hold)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class LoadStep:
     """A step of a stage with its prescribed values; substeps are fractions of it.
 

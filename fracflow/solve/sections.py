@@ -210,7 +210,7 @@ class SectionReport:
     flow: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Rows:
     """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 

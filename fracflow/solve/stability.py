@@ -26,7 +26,7 @@ SHARP = 1e-4  # of the eigenvalue: how well it is known
 SOFT = 1e-10  # of the normal stiffness, on sections that slide: it holds a block that is otherwise loose
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Weakening:
     """How the strength of this rank's sections falls with their slip.
 

@@ -32,7 +32,7 @@ class SingularMatrix(Exception):
     """A matrix that a method without the tangent may come to."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Stiffness:
     """How an iteration makes its matrix.
 

@@ -34,7 +34,7 @@ SLOWEST = 5e6  # bytes a second of a large one
 OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Found:
     """The content of a file: attributes, types and shapes of all datasets, and the requested datasets."""
 

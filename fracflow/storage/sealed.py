@@ -32,7 +32,7 @@ _BLOCK = 1 << 24  # bytes of rows that are put together at once
 Bytes = NDArray[np.uint8]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Slabs:
     """An array that comes in slabs of rows.
 
@@ -46,7 +46,7 @@ class Slabs:
     parts: Iterable[NDArray[Any]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Sealed:
     """The content of a sealed file.
 

@@ -33,7 +33,7 @@ LONGEST_REPORT = 4096
 OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Unable to allocate", "ut of memory")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Elements:
     """Content of a mesh file, before it means anything.
 

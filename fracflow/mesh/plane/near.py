@@ -110,7 +110,7 @@ def near_ones(notes: Sequence[str]) -> list[str]:
     return counted + [line for line in notes if line.startswith(LINE)][:NEAREST]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Place:
     """A point on an edge, from its ends by ``to_ends`` [length]."""
 

@@ -13,7 +13,7 @@ CHUNK = 2_000_000  # pairs looked at together
 ALMOST_ON = 2e-3  # slope, 0.11 degrees, at which a point and the ends of an edge make one line
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PlanarGraph:
     """Points and the edges between them.
 

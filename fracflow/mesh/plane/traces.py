@@ -24,7 +24,7 @@ Trace = tuple[str, Floats]
 """Name and points (m, 2) of a fracture, from its start to its end."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class TraceNetwork:
     """The sides of the domain and the fractures, cut where they meet.
 

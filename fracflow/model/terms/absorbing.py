@@ -25,7 +25,7 @@ from fracflow.scene.values import TimeTable
 SAME = 1e-9  # relative difference of two speeds, or of a delay to the time across the side, that counts as none
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Facets:
     """This rank's facets (n,) of absorbing sides: nodes (n, k), outward normal, and what their own rock is like.
 
@@ -143,7 +143,7 @@ def absorbing_sides(operators: Operators, scene: Scene) -> tuple[AbsorbingSides,
     return (AbsorbingSides(operators, scene),) if scene.absorbing else ()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class IncidentWave:
     """A plane wave that comes in at the nodes (n, k) of facets: force (n, k, dim) and power (n, k) of a unit of velocity.
 

@@ -14,7 +14,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.scene.time_table import Around
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class MeanDamping:
     """D of an explicit step, which meets its mean velocity [force time/length per thickness].
 

@@ -36,7 +36,7 @@ MOST_CROSSED = 1  # lines that the name of a trace may stand on at worst
 NEAR = 0.5  # of a line crossed: the cost of a name that nearly touches another or a mark
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Label:
     """A label to be placed.
 

@@ -36,7 +36,7 @@ _LOOKS = {
 _SIDES = {"support": ("#7d7768", 3.5), "absorbing side": ("#CC79A7", 1.8)}  # colour, and width [points]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Network:
     """Rock, fractures and marks that a map shows.
 

@@ -34,7 +34,7 @@ NEAR = 0.02  # of 1, where the limit of the time step is searched
 FARTHEST = 1e9
 
 
-@dataclass(eq=False)
+@dataclass
 class RockBlock:
     """J_uu as a matrix of its own, what stands of it without the joints, its unknowns, and numbers of those held (n,)."""
 
@@ -134,7 +134,7 @@ class Cycle:
         destroy(self.solid, self.rock.stands, self.wall, self.force, *self.blocks[0], *self.blocks[1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Prediction:
     """Prediction of the linearised cycle.
 

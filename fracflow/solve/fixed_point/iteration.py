@@ -36,7 +36,7 @@ MEASURED = 3  # cycles of a step that is refused, so that the prediction can be 
 PRESSURE_ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Linearised:
     """A prediction and what it holds for.
 

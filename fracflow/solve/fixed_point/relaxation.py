@@ -20,7 +20,7 @@ DEPTH = 5  # cycles that Anderson's rule looks back
 PARALLEL = 1e-8  # of a column's own length: what is left of it beside the others says nothing
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Cycles:
     """The last cycles of a step.
 

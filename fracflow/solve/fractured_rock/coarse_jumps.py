@@ -22,7 +22,7 @@ from fracflow.model.layout import Layout, create_matrix
 from fracflow.solve.fractured_rock.shared import Shared
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Hats:
     """The hats of a grid at local nodes, 2^dim each.
 

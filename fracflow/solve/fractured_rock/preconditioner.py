@@ -50,7 +50,7 @@ class Filled(Protocol):
         """Those of the last filling: its rock is the same where they are."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Parts:
     """Parts of the unknowns of a step.
 

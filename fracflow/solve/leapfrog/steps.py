@@ -55,7 +55,7 @@ class Leapfrog:
         destroy(self.nodes)
 
 
-@dataclass(eq=False)
+@dataclass
 class BalanceSums:
     """Sums over the steps between two states, of this rank [energy per thickness].
 
