@@ -33,6 +33,7 @@ GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too man
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
 MOST_JOINTS = 1000  # that are proposed in rock that is not meshed, whose stiffness is dense
+PROPOSED = "{}, the most that are proposed,"
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 PER_TRIANGLE = 4.0 / 3.0**0.5  # cells of size h in an area h^2
@@ -269,9 +270,10 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
         keys.pop("size_at_tips", None)  # no tip is in the rock: the same mesh
     unit = {key: view.unit(LENGTH) for key in keys} | {"growth": ""}
     sizes = {key: value for key, value in keys.items() if key not in snap}
+    most = PROPOSED.format(f"{MOST_CELLS} cells")
     return keys, [
         *why,
-        *(note(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}") for key, value in sizes.items()),
+        *(note(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found, most)}") for key, value in sizes.items()),
     ]
 
 
@@ -283,7 +285,8 @@ def _of_joints(
         return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []
     traces = _trace_lengths(geometry)
     typical = typical_length(traces)
-    fine, least = _three_digits(typical / PER_LENGTH), float(traces.sum()) / MOST_JOINTS
+    least = max(float(traces.sum()) / MOST_JOINTS, geometry.size_at_tips or 0.0)
+    fine = max(_three_digits(typical / PER_LENGTH), geometry.size_at_tips or 0.0)
     for _ in range(ROUNDS):
         keys = snap | _keys(geometry, fine, fine, typical / PER_TIP, geometry.growth or GROWTH, traces)
         del keys["size"]
@@ -295,8 +298,10 @@ def _of_joints(
         if finer >= SAME * fine:
             break
         fine = finer
-    lines = (f"geometry.{key} = {keys[key]:g}{view.unit(LENGTH)}" for key in ("size_at_fractures", "size_at_tips"))
-    return keys, [note(f"{line}: {_why(line[9 : line.index(' ')], found)}") for line in lines]
+    told = [key for key in ("size_at_fractures", "size_at_tips") if key in keys]
+    is_as_tips = fine == geometry.size_at_tips
+    most = "joints as long as geometry.size_at_tips" if is_as_tips else PROPOSED.format(f"{MOST_JOINTS} joints")
+    return keys, [note(f"geometry.{key} = {keys[key]:g}{view.unit(LENGTH)}: {_why(key, found, most)}") for key in told]
 
 
 def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]]:
@@ -356,13 +361,13 @@ def _finer(size: float, found: list[Need], along: bool) -> float:
     return min([asked, *(MARGIN * size * need.size / need.found for need in needed if need.found > need.size >= size)])
 
 
-def _why(key: str, found: list[Need]) -> str:
+def _why(key: str, found: list[Need], most: str) -> str:
     if key == "size_at_tips":
         return f"length of fractures / {PER_TIP}"
     if key == "growth":
         return "rock far from a tip is as coarse as its strains are smooth"
     least = min((need for need in found if key == "size_at_fractures" or not need.along), key=lambda need: need.size)
-    short = f"; {MOST_CELLS} cells, the most that are proposed, do not reach it" if least.found > least.size else ""
+    short = f"; {most} do not reach it" if least.found > least.size else ""
     return f"{least.what} = {least.size:.3g}{least.where and f', {least.where}'}{short}"
 
 

@@ -135,7 +135,14 @@ def _reflecting(scene: Scene) -> Iterator[str]:
     for side in sorted(held & absorbing):
         yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and waves come back: remove one"
     damps = bool(absorbing - held) or stepper_from(scene.method.stepper, scene.method).damps
-    if not damps and any(stage.kind == "auto" for stage in scene.stage):
+    if damps or all(stage.kind != "auto" for stage in scene.stage):
+        return
+    if scene.is_unbounded:  # its events get a mesh with absorbing sides
+        yield (
+            "waves shorter than the cells that events get stay around the fractures, and an event may take several times more"
+            ' steps: give method.stepper = "generalised-alpha" with a rho_infinity below 1, which damps them'
+        )
+    else:
         yield (
             "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"
             ' or method.stepper = "generalised-alpha" with a rho_infinity below 1, for waves that the steps do not resolve'

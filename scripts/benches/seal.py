@@ -23,7 +23,7 @@ from unittest.mock import patch
 
 from fracflow.output import history
 from fracflow.scene.scene import load
-from fracflow.simulation import recorder
+from fracflow.simulation import files
 from fracflow.simulation.run import run
 from fracflow.storage import sealed
 
@@ -35,7 +35,7 @@ SCENES = {
 }
 HASHING = (
     (sealed, "pieces"), (sealed, "root_of"), (history, "chain"), (history, "chain_start"), (history, "digest"),
-    (recorder, "scene_seal"),
+    (files, "scene_seal"),
 )  # fmt: skip
 
 

@@ -7,7 +7,8 @@ from figures_verification.runs import solve
 from fracflow._petsc import MPI
 from fracflow.errors import InputError, NotConverged
 from fracflow.model.multipole_rock import by_multipoles
-from fracflow.reduction.prepare import prepare
+from fracflow.reduction.prepare import prepare, with_sizes
+from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 
 ROCK = """
@@ -217,6 +218,26 @@ def test_what_there_is_not_is_refused(setting, tmp_path):
     (tmp_path / "scene.toml").write_text(NETWORK.replace('"Anna"', "'Anna'"))
     with pytest.raises(InputError, match=REFUSED[setting]):
         load(tmp_path / "scene.toml", ["rock.rock.density=2700", setting])
+
+
+@pytest.mark.serial
+def test_joints_shorter_than_tips_need_have_no_size_of_tips(tmp_path):
+    """E'/k_s / 4 = 0.67 m is below the 3.7 m of tips. No remedy is one that is refused."""
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        NETWORK.replace(", size_at_fractures = 80", "")
+        .replace('"quasi-static"', '"auto"')
+        .replace("steps = 10", "end = 200")
+    )
+    scene = load(file, ["rock.rock.density=2700", "fracture.default.stick_slip_ratio=0.9"])
+    (told,) = [line for line in advice(scene) if "waves" in line]
+    assert "generalised-alpha" in told and "absorbing" not in told
+    proposed = with_sizes(scene, MPI.COMM_SELF)
+    (told,) = [line for line in proposed.notes if "E'/k_s / 4 = 0.667" in line]
+    assert "size_at_fractures" in told and "1000 joints, the most that are proposed, do not reach it" in told
+    assert proposed.geometry.size_at_tips is None
+    stated = with_sizes(scene.with_geometry({"size_at_tips": 5.0}), MPI.COMM_SELF).geometry
+    assert stated.size_at_fractures == stated.size_at_tips == 5.0  # as a scene that states both must have them
 
 
 @pytest.mark.serial
