@@ -76,15 +76,22 @@ def handed(history):
     return int(np.flatnonzero(history["energy/change_of_rock"])[0])
 
 
-def test_nothing_slips_by_the_change_of_rock(scene, comm):
-    """Walls have the jumps of before, and the frozen traction leaves nothing out of balance."""
-    model = prepare(load(scene), comm)
+def stepped(model, *times):
+    """The state after steps without inertia to those times."""
     state, still = equilibrium_state(model), stepper_of(model.scene, model.scene.stage[0], "quasi-static")
     stepping = Stepping(model)
-    for time in (150.0, 300.0):
+    for time in times:
         request = StepRequest(time, time - state.time, state.controls, stepping.model.loads)
         before, (state, _) = state, stepping.step(state, request, still)
         before.destroy()
+    stepping.destroy()
+    return state
+
+
+def test_nothing_slips_by_the_change_of_rock(scene, comm):
+    """Walls have the jumps of before, and the frozen traction leaves nothing out of balance."""
+    model = prepare(load(scene), comm)
+    state = stepped(model, 150.0, 300.0)
     new = with_event_mesh(model, comm)
     found = handed_over(model, new, state)
     jumps = []
@@ -97,8 +104,59 @@ def test_nothing_slips_by_the_change_of_rock(scene, comm):
     new.loads.standing().release(left)
     assert left.norm() < 1e-12 * new.operators.scales.force
     assert 0.0 < found.mean < found.most < 5e4
-    for each in (state, found.state, left, stepping):
+    for each in (state, found.state, left):
         each.destroy()
+
+
+CREEPING = (
+    SCENE.replace("stick_slip_ratio = 0.9", 'leak_off = {permeability = "1e-17 m^2", storage = "1e-10 1/Pa"}')
+    .replace("[fracture.beside]", "[fracture.beside]\npressure = [[0, 0], [20, 30e6], [1000, 30e6]]")
+    .replace(
+        "[fracture.fault]",
+        """[fracture.fault]
+law = "rate-and-state"
+friction_coefficient = 0.5
+reference_slip_rate = 1e-6
+direct_effect = 0.010
+evolution_effect = 0.015
+characteristic_slip = 1e-3
+initial_slip_rate = 1e-6""",
+    )
+)
+"""The fault creeps; the other fracture is open, and leaks."""
+
+
+def remembered(model, state):
+    """Rows (j, ...) of what joints remember, by their numbers in the mesh, on every rank."""
+    joints, block, comm = model.operators.joints, model.operators.blocks, model.operators.layout.comm
+    parts = {name: getattr(state.sections, name) for name in ("strain", "traction", "inelastic", "tangent")}
+    parts |= {"friction": state.friction, "rate": joints.strain(state.motion.velocity)}
+    for number, (group, past) in enumerate(zip(joints.laws, state.sections.history, strict=True)):
+        for name, values in past.items():
+            parts[f"{number}/{name}"] = np.zeros((len(joints.weights), *values.shape[1:]))
+            parts[f"{number}/{name}"][group.sections] = values
+    parts |= state.memory
+    ids, count = block.joints.ids, block.sizes.joints
+    return {k: comm.bcast(block.gather(ids, np.reshape(v, (len(ids), -1)), count)) for k, v in parts.items()}
+
+
+def test_joints_remember_their_past(shared_tmp, comm):
+    """The state of friction, slip that has gone, the rate of slip, an open wall, and fluid that has leaked off."""
+    if comm.rank == 0:
+        (shared_tmp / "creeping.toml").write_text(CREEPING)
+    comm.barrier()
+    model = prepare(load(shared_tmp / "creeping.toml"), comm)
+    state = stepped(model, 10.0, 20.0, 30.0)
+    new = with_event_mesh(model, comm)
+    found = handed_over(model, new, state)
+    then, now = remembered(model, state), remembered(new, found.state)
+    assert then.keys() == now.keys()
+    for name, values in then.items():
+        np.testing.assert_allclose(now[name], values, rtol=0.0, atol=1e-12 * np.abs(values).max(), err_msg=name)
+    assert {name for name, values in then.items() if not values.any()} == {"0/sliding"}
+    assert then["strain"][:, 1].max() > 1e-3  # open
+    state.destroy()
+    found.state.destroy()
 
 
 def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
