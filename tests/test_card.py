@@ -303,8 +303,8 @@ def test_friction_with_a_state_tells_how_far_from_steady_it_starts(rate, evoluti
     away = (70.0 / 120.0 - 0.6 - (0.01 - evolution) * np.log(rate / 1e-6)) / evolution
     start, dependence = card["state at the start"], card["rate dependence"]
     assert start.value == pytest.approx(np.exp(away), rel=1e-6)
-    does = "speeds up from the start" if away > 0.0 else "slows down at first"
-    assert start.note == f"theta {scene.time_text(start.value * 0.004 / rate, 3)}; slip {does}"
+    does = "speeds up" if away > 0.0 else "slows down"
+    assert start.note == f"theta {scene.time_text(start.value * 0.004 / rate, 3)}; {does}"
     assert dependence.value == pytest.approx((0.01 - evolution) * 120e6, rel=1e-9)
-    assert ("run away" in dependence.note) == (evolution > 0.01) and "D_c 0.004" in dependence.note
+    assert ("unstable" in dependence.note) == (evolution > 0.01) and "D_c 0.004" in dependence.note
     assert (card["creep nucleation"].value is None) == (evolution < 0.01)

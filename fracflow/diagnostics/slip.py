@@ -211,7 +211,7 @@ def rate_dependence(view: CheckInput) -> Number:
     value, joint, where = view.worst(each)
     if value is None:
         return Number(name, formula, note="no friction with a state")
-    does = "slip may run away where it is longer than h*" if value > 0.0 else "slip is stable"
+    does = "unstable beyond h*" if value > 0.0 else "stable"
     note = f"D_c {joints.state_length[joint].min():.3g}{view.unit(LENGTH)}; {does}"
     return Number(name, formula, -value, None, False, where, note=note)
 
@@ -225,7 +225,7 @@ def state_at_start(view: CheckInput) -> Number:
         return Number(name, formula, note="no friction with a state")
     end = int(np.nanargmax(np.abs(np.log(joints.steady[joint]))))
     value, theta = float(joints.steady[joint, end]), float(joints.state[joint, end])
-    does = "steady" if away < STEADY else "slip speeds up from the start" if value > 1.0 else "slip slows down at first"
+    does = "steady" if away < STEADY else "speeds up" if value > 1.0 else "slows down"
     return Number(name, formula, value, None, False, where, note=f"theta {view.scene.time_text(theta, 3)}; {does}")
 
 

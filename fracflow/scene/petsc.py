@@ -17,7 +17,7 @@ from fracflow.scene.toml import read_toml
 Value = str | float | int | bool
 
 SOLVERS = (
-    "monolithic", "whole-lu", "solid", "flow", "mass", "condensed", "period", "stability", "explicit",
+    "monolithic", "whole-lu", "solid", "flow", "mass", "condensed", "period", "stability", "explicit", "handed",
 )  # fmt: skip
 """Prefixes of the program's solvers; each has one, so that an option without one reaches none."""
 _SOLVER = re.compile(f"(?:{'|'.join(SOLVERS)})_")

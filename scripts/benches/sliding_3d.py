@@ -17,7 +17,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -159,7 +159,7 @@ def solve(system: System, rock_solver: str) -> tuple[PETSc.Vec, dict[str, Any]]:
         if solver.getPC().getType() == "shell":
             parts = parts_of(blocks, layout_of(blocks, with_flow=False), SIZE, held)
             facts["parts"] = {"jumps": parts.jumps.getSize()[1], "strips": parts.strips.getSize()}
-            filled = SimpleNamespace(matrix=matrix, standing=matrix.copy, stood=None, alphas=None)
+            filled = SimpleNamespace(matrix=matrix, standing=lambda: nullcontext(matrix), stood=None, alphas=None)
             solver.getPC().setType("python")
             solver.getPC().setPythonContext(FracturedRock(parts, filled, "solid", 3))
         solver.setUp()

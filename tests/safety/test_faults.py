@@ -30,6 +30,7 @@ from fracflow.output.history import HistoryFile
 from fracflow.output.status import read_status
 from fracflow.scene.scene import load
 from fracflow.simulation import files as files_of
+from fracflow.simulation import recorder as recorder_of
 from fracflow.simulation.run import resume, run
 from fracflow.storage import hdf5 as files_hdf
 from fracflow.storage.hdf5 import Growing, redo_of, whole_file
@@ -300,14 +301,14 @@ def test_another_run_in_the_folder_ends_this_one_where_there_are_no_locks(scene,
 
 def test_the_end_counts_when_all_is_on_disk(scene, whole, shared_tmp, monkeypatch):
     """Events and status of a run whose last writes fail are not those of a run that has ended."""
-    real = files_of.write_status
+    real = recorder_of.write_status
 
     def full(folder, status):
         if status.word == "ended":
             raise OSError(errno.EIO, "Input/output error", str(folder / "status.json"))
         real(folder, status)
 
-    monkeypatch.setattr(files_of, "write_status", full)
+    monkeypatch.setattr(recorder_of, "write_status", full)
     with pytest.raises(DiskError, match=r"status\.json: Input/output error"):
         run(scene, shared_tmp / "run")
     monkeypatch.undo()
