@@ -15,8 +15,11 @@ from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH, side_names
+from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
-from fracflow.reduction.mesh_size import ACROSS, cell_count
+from fracflow.reduction.cell_growth import growth_beside
+from fracflow.reduction.mesh_size import ACROSS, MOST_CELLS, cell_count, trace_lengths, typical_length
+from fracflow.reduction.unresolved import unresolved
 from fracflow.remarks import note
 from fracflow.scene.method import Points
 from fracflow.scene.scene import Scene
@@ -46,8 +49,25 @@ def event_scene(scene: Scene, bounded: Scene | None = None) -> Scene:
         corners = _box(points.min(axis=0) - margin, points.max(axis=0) + margin)
         sides = {"absorbing": (Absorbing(on=tuple(side_names(np.array(corners)))),)}
         size = geometry.size or extent / PER_EXTENT
-    keys = {"domain": corners, "size": max(size, fine) / 2**geometry.refine, "refine": 0}
+    keys = {
+        "domain": corners,
+        "size": max(size, fine) / 2**geometry.refine,
+        "growth": _growth(scene, size, corners),
+        "refine": 0,
+    }
     return scene.model_copy(update={"geometry": geometry.model_copy(update=keys), **sides})
+
+
+def _growth(scene: Scene, size: float, corners: Points) -> float:
+    """Growth of the cells: that of the scene, or less where their error would be larger than that of the joints."""
+    geometry = scene.geometry
+    assert geometry is not None
+    usual, lengths = geometry.growth or GROWTH, trace_lengths(geometry)
+    if not (geometry.size_at_fractures or geometry.size):
+        return usual
+    growth = min(usual, growth_beside(scene, typical_length(lengths))[0])
+    fine, area = geometry.size_at_fractures or size, polygon_area(np.array(corners))
+    return growth if cell_count(size, fine, area, float(lengths.sum()), growth) <= MOST_CELLS else usual
 
 
 def _box(low: Floats, high: Floats) -> Points:
@@ -59,8 +79,7 @@ def cells_of_event(scene: Scene, bounded: Scene | None = None) -> float:
     """Number of cells, about, of the mesh of an unbounded scene's events; ``bounded`` as above."""
     geometry = event_scene(scene, bounded).geometry
     assert geometry is not None and geometry.size is not None
-    traces = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
-    length = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in traces)
+    length = float(trace_lengths(geometry).sum())
     fine = min(geometry.size, (geometry.size_at_fractures or geometry.size) / 2**scene.refine)
     area = polygon_area(np.array(geometry.outline))
     return cell_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
@@ -76,7 +95,16 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
     sides = "with absorbing sides (geometry.event_margin)" if bounded is None else "with the sides of the scene"
     cells = f"about {cells_of_event(scene, bounded):.2g} cells"
+    points = np.array([point for trace in geometry.fracture for point in trace.points])
+    extent, margin = float(np.ptp(points, axis=0).max()), geometry.event_margin
+    near = []
+    if bounded is None and margin is not None and margin < extent:
+        near.append(
+            f"geometry.event_margin = {margin:.6g}{unit}: sides nearer than the extent of the fractures change how far events"
+            f" slip; leave it out for {MARGIN * extent:.6g}{unit}"
+        )
     return (
+        *near,
         note(
             f"stage auto: the rock is meshed once an event needs inertia, and stays so: {cells}"
             f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}, {sides}"
@@ -102,4 +130,8 @@ def with_event_mesh(
         placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
         assert placed is not None
         found = set_up(scene, comm, mesh, replace(placed, notes=()), cell_rank)
+        if comm.bcast(saved is None, root=0):
+            block = found.operators.blocks.solid
+            lines = unresolved(scene, mesh, placed.wells, RockCells.of(block, block.cell_ids, comm))
+            found = replace(found, placed=replace(found.placed, notes=(*lines, *found.placed.notes)))
     return replace(found, stated=model.stated, sides=model.sides, bounded=model.bounded, unmeshed=model)

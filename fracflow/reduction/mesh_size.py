@@ -231,7 +231,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if geometry.is_unbounded:
         keys, reasons = _of_joints(scene, geometry, build, snap)
         return keys, [*why, *reasons]
-    domain, traces = np.array(geometry.outline), _trace_lengths(geometry)
+    domain, traces = np.array(geometry.outline), trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
         if not len(traces):
@@ -283,7 +283,7 @@ def _of_joints(
     """The same of fractures in rock that is not meshed."""
     if geometry.size_at_fractures or geometry.size:
         return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []
-    traces = _trace_lengths(geometry)
+    traces = trace_lengths(geometry)
     typical = typical_length(traces)
     least = max(float(traces.sum()) / MOST_JOINTS, geometry.size_at_tips or 0.0)
     fine = max(_three_digits(typical / PER_LENGTH), geometry.size_at_tips or 0.0)
@@ -320,7 +320,8 @@ def _growth(scene: Scene, geometry: Geometry) -> float:
     return GENTLE if weakens(scene) else GROWTH
 
 
-def _trace_lengths(geometry: Geometry) -> Floats:
+def trace_lengths(geometry: Geometry) -> Floats:
+    """Length (t,) of each trace [length]."""
     points = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
     return np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
 

@@ -16,8 +16,9 @@ from fracflow.mesh.store import load_mesh
 from fracflow.model.balance import static_balance_of
 from fracflow.output import list_steps, read_events, read_history
 from fracflow.output.status import FAILED, read_status
-from fracflow.reduction.event_mesh import with_event_mesh
+from fracflow.reduction.event_mesh import before_events, event_scene, with_event_mesh
 from fracflow.reduction.prepare import prepare
+from fracflow.remarks import has_mark
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import resume, run
@@ -86,6 +87,15 @@ def stepped(model, *times):
         before.destroy()
     stepping.destroy()
     return state
+
+
+@pytest.mark.serial
+def test_the_mesh_of_an_event_is_no_coarser_beside_joints_than_a_stated_one(scene):
+    """Fine joints have cells that grow more slowly, as in a box. Sides in the midst of fractures are told."""
+    fine = load(scene, ["geometry.size_at_fractures=0.5"])
+    assert event_scene(load(scene)).geometry.growth == 0.3 and event_scene(fine).geometry.growth == 0.12
+    (usual,), (near, _) = before_events(load(scene)), before_events(load(scene, ["geometry.event_margin=5"]))
+    assert has_mark(usual) and not has_mark(near) and "event_margin = 5 m" in near and "for 280 m" in near
 
 
 def test_nothing_slips_by_the_change_of_rock(scene, comm):
