@@ -291,7 +291,7 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
 def _draw_profiles(
     axes: Axes, run: RunData, row: OutputQuantity, by_size: bool = False
 ) -> dict[str, tuple[Floats, str]]:
-    """A field along the longest fractures, in the first fields written (dashed) and the last.
+    """A field along the fractures where it changes most, in the first fields written (dashed) and the last.
 
     Returns the last lines (k, 2) by name, with their colours.
 
@@ -303,7 +303,12 @@ def _draw_profiles(
         _say_nothing(axes)
         return {}
     profiles = fractures.profiles(row.name, _MAX_LINES, by_size)
-    which = f"{len(profiles)} with most" if by_size else f"the {len(profiles)} longest"
+    changes = not by_size and fractures.has_before and row.name in fractures.before
+    which = (
+        f"{len(profiles)} with most"
+        if by_size
+        else f"the {len(profiles)} {'that change most' if changes else 'longest'}"
+    )
     of = "fractures" if len(profiles) == len(fractures.names) else which
     both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))

@@ -76,9 +76,10 @@ class FractureFields:
         return np.asarray(self.after[key].reshape(len(self.points), -1)[:, 0][self.cells].mean(axis=1))
 
     def profiles(self, key: str, most: int, by_size: bool = False) -> dict[str, FieldProfile]:
-        """Name -> (distance along the trace, field before or None, field after) of the longest fractures.
+        """Name -> (distance along the trace, field before or None, field after) of at most so many fractures.
 
-        by_size  of those where the field is largest after
+        They are those where the field changes most, or the longest where there is none before; ``by_size`` takes those
+        where it is largest after.
         """
         found: dict[str, FieldProfile] = {}
         for i, name in enumerate(self.names):
@@ -87,12 +88,14 @@ class FractureFields:
                 steps = np.linalg.norm(np.diff(self.points[nodes], axis=0), axis=1)
                 before = self.before[key][nodes] if key in self.before else None
                 found[name] = (np.concatenate([[0.0], np.cumsum(steps)]), before, self.after[key][nodes])
+        if len(found) <= most:
+            return found
         sizes = {
-            name: float(np.nan_to_num(np.abs(after)).max() if by_size else along[-1])
-            for name, (along, _, after) in found.items()
+            name: float(along[-1] if before is None and not by_size else _largest(after, None if by_size else before))
+            for name, (along, before, after) in found.items()
         }
-        first = sorted(found, key=lambda name: -sizes[name])[:most]
-        return {name: found[name] for name in found if name in first}
+        first = sorted((name for name in found if sizes[name] > 0.0), key=lambda name: -sizes[name])[:most]
+        return {name: found[name] for name in found if name in (first or list(found)[:most])}
 
     def _trace(self, pieces: NDArray[np.int64]) -> NDArray[np.int64]:
         """Nodes of one fracture in the order of its trace, by the coordinate along its longest extent.
@@ -313,6 +316,11 @@ def load_fractures(folder: Path, start: float) -> FractureFields | None:
     names = _names(folder, attrs) or [f"fracture {i + 1}" for i in range(highest)]
     begins, step = float(times[first]), steps[-1][0]
     return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)
+
+
+def _largest(after: Floats, before: Floats | None) -> float:
+    """Largest size of a field (n, ...), or of its change."""
+    return float(np.nan_to_num(np.abs(after if before is None else after - before)).max())
 
 
 def _drawn_mesh(folder: Path, name: str) -> tuple[Floats, NDArray[np.int64], dict[str, Any]]:

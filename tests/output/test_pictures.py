@@ -10,7 +10,7 @@ from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.pictures import _overview, _probes, _wells, draw
 from fracflow.output.plot_style import styled
-from fracflow.output.reader import load_run_data
+from fracflow.output.reader import FractureFields, load_run_data
 
 pytestmark = pytest.mark.serial
 
@@ -172,3 +172,17 @@ def test_rates_over_three_decades_have_a_logarithmic_axis():
 
     assert _spans_decades([np.array([1e-9, np.nan, 2e-6])]) and _spans_decades([np.array([1e-9]), np.array([2e-6])])
     assert not _spans_decades([np.array([1e-9, 5e-7])]) and not _spans_decades([np.array([0.0, 1e-9, 2e-6])])
+
+
+def test_of_many_fractures_those_where_a_field_changes_are_drawn():
+    """Ten fractures, longer and longer; the shortest has the largest change, and most have no slip."""
+    ends = np.array([[[0.0, k], [1.0 + k, k]] for k in range(10)])
+    pressure, slip = np.full((2, 20), 5.0), np.zeros(20)
+    pressure[1, :2], pressure[1, 6:8], slip[2:4] = 9.0, 5.5, 1e-3
+    before, after = ({"pressure": each, "plastic_slip": slip} for each in pressure)
+    fields = FractureFields(
+        ends.reshape(-1, 2), np.arange(20).reshape(-1, 2), np.arange(10), list("abcdefghij"), before, after, 0.0, 1.0, 1
+    )
+    assert list(fields.profiles("pressure", 7)) == ["a", "d"]
+    assert list(fields.profiles("plastic_slip", 7, by_size=True)) == ["b"]
+    assert len(fields.profiles("plastic_slip", 7)) == 7 and len(fields.profiles("pressure", 12)) == 10
