@@ -97,7 +97,7 @@ class Model:
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out
     sides    whether they are; None of a scene that does not let the program choose
-    unmeshed  the model without a mesh that this one has taken the place of; None where there was none
+    unmeshed  joints alone, on rank 0, that the run began with, where an event has meshed the rock since; else None
     whole    the model with the fractures that are ``locked``; None where none is
     slow     stages auto, by their numbers, that take the place of dynamic ones
     """
@@ -113,12 +113,12 @@ class Model:
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
     bounded: Scene | None = None
     sides: FarSides | None = None
-    unmeshed: Model | None = None
+    unmeshed: SplitMesh | None = None
 
     @property
     def stated_mesh(self) -> SplitMesh:
         """The mesh that the run began with, with all fractures, as ``mesh``."""
-        mesh = (self.unmeshed or self.whole or self).mesh
+        mesh = self.unmeshed or (self.whole or self).mesh
         assert mesh is not None
         return mesh
 
