@@ -1,6 +1,7 @@
-"""``scripts/figures rate-and-state [-o DIR] [--run RUN] [--without RUN]``: run meshes/injected_fault with inertia and without.
+"""``scripts/figures rate-and-state [-o DIR] [--only NAME ...] [--run RUN] [--without RUN] [--ten-faults RUN]``.
 
-Runs that are given are read instead.
+Runs meshes/injected_fault with inertia and without ("inertia"), and meshes/ten_faults ("ten_faults"); draws them. Runs that
+are given are read instead.
 """
 
 from __future__ import annotations
@@ -9,11 +10,13 @@ import argparse
 from pathlib import Path
 
 import matplotlib
-from sheets import ROOT, STYLE, judge
+from sheets import ROOT, STYLE, Check, judge
 
 import fracflow
-from figures_rate_and_state.inertia import draw
+from figures_rate_and_state import inertia, network
 from fracflow.api import Run
+
+FIGURES = ("inertia", "ten_faults")
 
 
 def main() -> int:
@@ -23,20 +26,26 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=folder, metavar="DIR")
     parser.add_argument("--run", type=Path, metavar="RUN", help="a folder that a run of the scene left")
     parser.add_argument("--without", type=Path, metavar="RUN", help="one without inertia")
+    parser.add_argument("--ten-faults", type=Path, metavar="RUN", help="a folder that a run of meshes/ten_faults left")
+    parser.add_argument("--only", nargs="+", choices=FIGURES, default=FIGURES, metavar="NAME", help="these figures")
     given = parser.parse_args()
-    moving = _ran(given.run, given.output / "with_inertia")
-    slow = _ran(given.without, given.output / "without", "stage.injection.kind=quasi-static")
+    checks: list[Check] = []
     with matplotlib.rc_context(STYLE):
-        checks = draw(moving, slow, given.output)
+        if "inertia" in given.only:
+            moving = _ran(given.run, given.output / "with_inertia", "injected_fault")
+            slow = _ran(given.without, given.output / "without", "injected_fault", "stage.injection.kind=quasi-static")
+            checks += inertia.draw(moving, slow, given.output)
+        if "ten_faults" in given.only:
+            checks += network.draw(_ran(given.ten_faults, given.output / "ten_faults", "ten_faults"), given.output)
     return judge(checks, given.output)
 
 
-def _ran(found: Path | None, folder: Path, *changes: str) -> Run:
-    """Run the scene, in ``folder``, unless a run is ``found``."""
+def _ran(found: Path | None, folder: Path, scene: str, *changes: str) -> Run:
+    """Run a scene of meshes/, in ``folder``, unless a run is ``found``."""
     if found is not None:
         return fracflow.open(found)
-    scene = ROOT / "meshes" / "injected_fault" / "scene.toml"
-    return fracflow.run(fracflow.load(scene, ["output.pictures=false", *changes]), folder)
+    path = ROOT / "meshes" / scene / "scene.toml"
+    return fracflow.run(fracflow.load(path, ["output.pictures=false", *changes]), folder)
 
 
 if __name__ == "__main__":

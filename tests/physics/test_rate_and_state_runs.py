@@ -51,6 +51,11 @@ SLOW = '[[stage]]\nname = "load"\nkind = "quasi-static"\ntime_step = 8\nend = 81
 AUTO = '[[stage]]\nkind = "auto"\ntime_step = 8\ndynamic_time_step = 1e-3\nend = 82\n'
 STIFFNESS, IMPEDANCE = 1.5e8, 0.5 * np.sqrt(2700 * 3e8)  # of two blocks in series, of one rock on both sides
 RATE = 1e-5
+NETWORK = [
+    "output.pictures=false", "output.vtkhdf=false", "geometry.domain=[-14, -14, 14, 14]", "geometry.size_at_fractures=0.8",
+    "geometry.growth=0.4", "method.stepper=generalised-alpha", "method.rho_infinity=0.8", "stage.injection.end=0.9 h",
+    "stage.injection.dynamic_time_step=0.5 ms",
+]  # fmt: skip
 MEAN = 4.5  # iterations of a step
 STILL = '[[stage]]\nkind = "quasi-static"\ntime_step = 1\nsteps = 1\n'
 
@@ -154,3 +159,22 @@ def test_two_ranks_agree(folder):
     steps = len(two["time"])
     assert steps > 15 and np.array_equal(one["time"][:steps], two["time"])
     assert two["probe/middle/sliding_rate"] == pytest.approx(one["probe/middle/sliding_rate"][:steps], rel=1e-6)
+
+
+def test_crossing_faults_slip_slowly_and_fast_in_one_run(tmp_path):
+    """meshes/ten_faults on joints twice as long, up to its first event: 1.72e8 N m/m on its own joints."""
+    run(load("meshes/ten_faults/scene.toml", NETWORK), tmp_path)
+    rows, kept = read_events(tmp_path / "events.csv"), history(tmp_path, "")
+    (event,) = [row for row in rows if row["kind"] == "event"]
+    assert event["fracture"] == "H3" and event["moment"] == pytest.approx(1.72e8, rel=0.1)
+    fastest = {
+        f"{fault}{n}": np.abs(kept[f"probe/{fault}{n}/sliding_rate"]).max() for fault in "GH" for n in range(1, 6)
+    }
+    assert fastest.pop("H3") > 0.1, "it weakens, under the well"
+    assert 1e-11 < min(fastest.values()) and max(fastest[f"G{n}"] for n in range(1, 6)) < 1e-4, (
+        "they strengthen: they creep"
+    )
+    slip = np.abs(kept["probe/H3/plastic_slip"])
+    before = slip[np.flatnonzero(kept["step/kind"] == 2)[0] - 1]
+    assert 1e-6 < before < 0.1 * slip[-1], "it creeps, and then breaks"
+    assert np.abs(kept["energy/residual"]).max() <= 1e-10 * kept["energy/friction"].max()
