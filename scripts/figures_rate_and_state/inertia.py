@@ -52,7 +52,7 @@ def draw(moving: Run, slow: Run, folder: Path) -> list[Check]:
     """Draw ``inertia`` into ``folder`` and return the bars."""
     events = _event(moving, "with inertia", ORANGE), _event(slow, "radiation damping alone", BLUE)
     figure, axes = sheet(
-        "What inertia changes in an event that injection sets off",
+        "An event that injection sets off, with inertia and without",
         f"BP6 with a fault that weakens with the rate of slip; time since slip of {1e3 * FAST:g} mm/s.",
         [["rate", "moment"], ["moving", "slow"]], (10.0, 7.2),
     )  # fmt: skip
