@@ -10,11 +10,9 @@ from __future__ import annotations
 import threading
 import time as clock
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-from rich.text import Text
 
 from fracflow.advance.substeps import SubstepCursor
 from fracflow.output.drawing.axes import shown, unit_for
@@ -25,6 +23,7 @@ from fracflow.storage.files import shown_plain
 
 if TYPE_CHECKING:
     from fracflow.advance.step import Step
+    from fracflow.cli.bar import Bar
     from fracflow.scene.scene import Scene
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
@@ -235,17 +234,6 @@ def spoken(seconds: float) -> str:
     return f"{seconds / TIME_UNITS[unit]:.2g} {unit}"
 
 
-class _TwoLines(Progress):
-    """A bar, and a line of text below it."""
-
-    below = ""
-
-    def get_renderables(self) -> Any:
-        """The bar, then the line."""
-        yield from super().get_renderables()
-        yield Text(self.below)
-
-
 class Screen:
     """Shows where a run is: on a terminal by a bar, else by a line every INTERVAL seconds; nothing where it is quiet."""
 
@@ -255,15 +243,15 @@ class Screen:
         self._line, self._began, self._since = "", clock.monotonic(), clock.monotonic()
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
-        self._bar: _TwoLines | None = None
+        self._bar: Bar | None = None
 
     def __enter__(self) -> Screen:
         if self.console.quiet:
             return self
         if self.console.is_terminal:
-            columns = TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn()
-            self._bar = _TwoLines(*columns, console=self.console, transient=True)
-            self._task = self._bar.add_task(self.name, total=None)
+            from fracflow.cli.bar import Bar
+
+            self._bar = Bar(self.console, self.name)
             self._bar.start()
         else:
             self._writer = threading.Thread(target=self._write, daemon=True)
@@ -281,8 +269,7 @@ class Screen:
         """Show a line, and a share done or None where the end is not known."""
         self._line, self._since = line, clock.monotonic()
         if self._bar is not None:
-            self._bar.below = line
-            self._bar.update(self._task, total=None if share is None else 1.0, completed=share or 0.0)
+            self._bar.show(line, share)
 
     def _write(self) -> None:
         while not self._ended.wait(INTERVAL):

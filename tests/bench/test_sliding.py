@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FEW = 15  # Krylov iterations of the worst linear solve; they are 4 to 13
+FEW = 18  # Krylov iterations of the worst linear solve; they are 6 to 16, most in steps of 1e9 s, and 30 are asked
 
 
 @pytest.mark.serial
