@@ -97,7 +97,7 @@ class Model:
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out
     sides    whether they are; None of a scene that does not let the program choose
-    unmeshed  joints alone, on rank 0, that the run began with, where an event has meshed the rock since; else None
+    of_event  whether an event has meshed the rock; ``unmeshed`` are the joints alone that the run began with, on rank 0
     whole    the model with the fractures that are ``locked``; None where none is
     slow     stages auto, by their numbers, that take the place of dynamic ones
     """
@@ -113,6 +113,7 @@ class Model:
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
     bounded: Scene | None = None
     sides: FarSides | None = None
+    of_event: bool = False
     unmeshed: SplitMesh | None = None
 
     @property

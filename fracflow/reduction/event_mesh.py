@@ -134,4 +134,6 @@ def with_event_mesh(
             block = found.operators.blocks.solid
             lines = unresolved(scene, mesh, placed.wells, RockCells.of(block, block.cell_ids, comm))
             found = replace(found, placed=replace(found.placed, notes=(*lines, *found.placed.notes)))
-    return replace(found, stated=model.stated, sides=model.sides, bounded=model.bounded, unmeshed=model.mesh)
+    return replace(
+        found, stated=model.stated, sides=model.sides, bounded=model.bounded, of_event=True, unmeshed=model.mesh
+    )

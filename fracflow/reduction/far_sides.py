@@ -206,7 +206,7 @@ def decide_sides(facts: ReductionInput) -> Iterator[Decision]:
 
 def watch_sides(model: Model, state: State) -> None:
     """Raise ReductionInvalid, on every rank, where sides that were left out would change jumps by the tolerance. Collective."""
-    if model.bounded is None or model.unmeshed is not None:
+    if model.bounded is None or model.of_event:
         return
     error, tolerance = error_of_sides(model, state), _tolerance(model.bounded)
     if error > tolerance:

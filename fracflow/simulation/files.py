@@ -102,9 +102,9 @@ class Files:
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
-            if model.unmeshed is None:  # a kill before the first checkpoint with a mesh left fields aside
+            if not model.of_event:  # a kill before the first checkpoint with a mesh left fields aside
                 bring_back(self.folder.path, "rock", ASIDE)
-        self.event_seal = mesh_root(self.folder / EVENT_MESH) if model.unmeshed is not None else ""
+        self.event_seal = mesh_root(self.folder / EVENT_MESH) if model.of_event else ""
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}
         units = model.scene.unit_names

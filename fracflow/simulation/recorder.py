@@ -170,7 +170,7 @@ class Recorder:
             return
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
         found = state_arrays(self.model.operators, step.state)
-        if self.model.unmeshed is not None:
+        if self.model.of_event:
             found |= prestress_array(self.model.operators)
         with on_rank_0(self.comm, found) as arrays:
             if arrays is not None:
