@@ -131,9 +131,9 @@ Sizes = tuple[tuple[int, int], tuple[int, int]]
 
 def create_matrix(layout: Sizes, row_entries: int | Ints, comm: MPI.Comm) -> PETSc.Mat:
     """An empty AIJ matrix with room for ``row_entries``, one or (rows,), on a row in each part; more may come. Collective."""
-    entries = row_entries if isinstance(row_entries, int) else (petsc_ints(row_entries), petsc_ints(row_entries))
+    entries = row_entries if isinstance(row_entries, int) else petsc_ints(row_entries)
     matrix = _of_type(layout, comm)
-    matrix.setPreallocationNNZ(entries)
+    matrix.setPreallocationNNZ((entries, entries))
     matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     return matrix
 

@@ -21,6 +21,8 @@ from fracflow.mesh.graph import components
 from fracflow.model.layout import Layout, create_matrix
 from fracflow.solve.fractured_rock.shared import Shared
 
+AT_CROSSINGS = 4  # joints at a flow node, each of which may part a hat in another way
+
 
 @dataclass(frozen=True)
 class Hats:
@@ -106,7 +108,8 @@ def coarse_jumps(
     is_moved = np.zeros(block.unknown.shape, dtype=bool)  # tied nodes share an unknown: it has the value of the first
     is_moved.flat[own[np.unique(block.unknown.flat[own], return_index=True)[1]]] = True
     rows_here = layout.solid_count + layout.flow_count, layout.total
-    result = create_matrix((rows_here, (int(counts[comm.rank]), int(starts[-1]))), corners * len(grids), comm)
+    room = np.repeat([1, AT_CROSSINGS], [layout.solid_count, layout.flow_count]) * corners * len(grids)
+    result = create_matrix((rows_here, (int(counts[comm.rank]), int(starts[-1]))), room, comm)
 
     def place(rows: Ints, cols: Ints, values: Floats) -> None:
         values = np.where(np.isin(rows, held), 0.0, values)
