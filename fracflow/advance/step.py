@@ -247,7 +247,7 @@ class SingleStep:
         for _ in range(most_tries(loads)):
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
-            problem = StepProblem(ops, state, asked, rule, trial)
+            problem = StepProblem(ops, state, asked, rule, trial, solvers.work)
             try:
                 report = solvers.couplings.of(asked.loads).solve(problem)
                 new = accept(problem, state.energy)
@@ -264,7 +264,6 @@ class SingleStep:
                 trial = problem.initial_guess()
                 continue
             finally:
-                solvers.work.add(problem.work)
                 problem.destroy()
             depth = solvers.model.scene.flow_depth
             now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)

@@ -15,14 +15,14 @@ class Bar(Progress):
     def __init__(self, console: Console, name: str) -> None:
         """On a console that is a terminal."""
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn()
-        self._below = ""
+        self._below = self.inside = ""
         super().__init__(*columns, console=console, transient=True)
         self._task = self.add_task(name, total=None)
 
     def get_renderables(self) -> Any:
         """The bar, then the line."""
         yield from super().get_renderables()
-        yield Text(self._below)
+        yield Text(self._below + self.inside)
 
     def show(self, line: str, share: float | None) -> None:
         """Show a line, and a share done or None where the end is not known."""

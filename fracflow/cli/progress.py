@@ -25,11 +25,13 @@ if TYPE_CHECKING:
     from fracflow.advance.step import Step
     from fracflow.cli.bar import Bar
     from fracflow.scene.scene import Scene
+    from fracflow.solve.problem import Work
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given
 MOST_SAMPLES = 256
 INTERVAL = 60.0  # from line to line of progress where it goes into a file [s]
+LONG_STEP = 5.0  # from which on a terminal shows where the solve of a step is [s]
 SETTING_UP = "setting up: mesh, model, what is left out"
 
 
@@ -39,6 +41,7 @@ class RunProgress(Observer):
     show      is given a line, and the share of the stage that is done or None where its end is not known
     seconds   the time now [s]
     on_saved  is given the number of steps up to the last state on disk
+    on_work   is given the work that grows while a step is made
     """
 
     def __init__(
@@ -47,9 +50,10 @@ class RunProgress(Observer):
         show: Callable[[str, float | None], None],
         seconds: Callable[[], float] = clock.monotonic,
         on_saved: Callable[[int], None] | None = None,
+        on_work: Callable[[Work], None] | None = None,
     ) -> None:
         """Before the first step."""
-        self.scene, self.show, self.seconds, self.on_saved = scene, show, seconds, on_saved
+        self.scene, self.show, self.seconds, self.on_saved, self.on_work = scene, show, seconds, on_saved, on_work
         self.rejected = self.since = 0
         self.counts: tuple[int, int] | None = None
         self.line = SETTING_UP
@@ -61,6 +65,11 @@ class RunProgress(Observer):
         """The state after so many steps is on disk."""
         if self.on_saved is not None:
             self.on_saved(steps)
+
+    def follow(self, work: Work) -> None:
+        """The run's work, which grows while a step is made."""
+        if self.on_work is not None:
+            self.on_work(work)
 
     def sections(self, slipping: int, is_open: int) -> None:
         """Sections that slip and that are open in the step that is reported next."""
@@ -234,6 +243,14 @@ def spoken(seconds: float) -> str:
     return f"{seconds / TIME_UNITS[unit]:.2g} {unit}"
 
 
+def inside(work: Work | None, seconds: float, least: float) -> str:
+    """Where the solve of a step is that has lasted for some seconds, in words; empty where they are below the least."""
+    if seconds < least:
+        return ""
+    solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance" if work is not None else ""
+    return f", and this for {spoken(seconds)}{solve}"
+
+
 class Screen:
     """Shows where a run is: on a terminal by a bar, else by a line every INTERVAL seconds; nothing where it is quiet."""
 
@@ -244,6 +261,7 @@ class Screen:
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
         self._bar: Bar | None = None
+        self._work: Work | None = None
 
     def __enter__(self) -> Screen:
         if self.console.quiet:
@@ -253,9 +271,8 @@ class Screen:
 
             self._bar = Bar(self.console, self.name)
             self._bar.start()
-        else:
-            self._writer = threading.Thread(target=self._write, daemon=True)
-            self._writer.start()
+        self._writer = threading.Thread(target=self._write if self._bar is None else self._renew, daemon=True)
+        self._writer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -271,10 +288,18 @@ class Screen:
         if self._bar is not None:
             self._bar.show(line, share)
 
+    def follow(self, work: Work) -> None:
+        """The run's work, which grows while a step is made."""
+        self._work = work
+
+    def _renew(self) -> None:
+        while self._bar is not None and not self._ended.wait(1.0):
+            self._bar.inside = inside(self._work, clock.monotonic() - self._since, LONG_STEP)
+
     def _write(self) -> None:
         while not self._ended.wait(INTERVAL):
             now = clock.monotonic()
-            still = f", and this for {spoken(now - self._since)}" if now - self._since >= INTERVAL else ""
+            still = inside(self._work, now - self._since, INTERVAL)
             said = f"after {spoken(now - self._began)}: {shown_plain(self._line)}{still}"
             try:
                 self.console.print(f"{self.name}: {said}", soft_wrap=True, markup=False, highlight=False)

@@ -56,7 +56,7 @@ def run_with_progress(
     screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            totals = job(RunProgress(scene, screen.show, on_saved=words.saved))
+            totals = job(RunProgress(scene, screen.show, on_saved=words.saved, on_work=screen.follow))
         except SolveError as error:
             failure = error
         except Interrupted as error:

@@ -51,30 +51,38 @@ Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pr
 
 @dataclass
 class Work:
-    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
+    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for.
+
+    iteration   of Newton's method in the trial under way
+    unbalanced  its share of forces or flow that is out of balance, the larger one
+    """
 
     evaluations: int = 0
     factorisations: int = 0
-
-    def add(self, other: Work) -> None:
-        """Count the work of another as well."""
-        self.evaluations += other.evaluations
-        self.factorisations += other.factorisations
+    iteration: int = 0
+    unbalanced: float = np.inf
 
 
 class StepProblem:
     """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
 
     def __init__(
-        self, operators: Operators, state: State, request: StepRequest, rule: StepRule, start: Guess | None = None
+        self,
+        operators: Operators,
+        state: State,
+        request: StepRequest,
+        rule: StepRule,
+        start: Guess | None = None,
+        work: Work | None = None,
     ) -> None:
         """Sample loads and wells over the step, under loads whose parts that nothing drains are closed. Collective.
 
         start    this rank's motion since the state, and pressures, to begin from
+        work     in which its evaluations are counted
         """
         self.operators, self.state, self.request, self.rule, layout = operators, state, request, rule, operators.layout
         self.loads, self.alphas, self.time, self.controls = request.loads, rule.alphas, request.time, request.controls
-        self.work = Work()
+        self.work = work or Work()
         self.tried, self.load, self.source = 0, layout.solid_vector(), layout.flow_vector()
         loads, time, controls, unapplied, rates = self.loads, self.time, self.controls, request.unapplied, rule.rates
         loads.force(time, controls, self.load, rule.adjacent, rates if rates is not None and rates.of_forces else None)

@@ -4,7 +4,9 @@ import os
 import pty
 import re
 import sys
+import threading
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +19,7 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
+from fracflow.solve.problem import Work
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
 AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)
@@ -201,17 +204,28 @@ def test_a_short_run_says_nothing_into_a_pipe(shared_tmp, comm, capfd):
     assert capfd.readouterr().err == ""
 
 
+def read_terminal(end):
+    """Bytes from a terminal; none once its other end is closed."""
+    try:
+        return os.read(end, 1 << 16)
+    except OSError:
+        return b""
+
+
 @pytest.mark.serial
 def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
     there, here = pty.openpty()
+    parts = []
+    reader = threading.Thread(target=lambda: parts.extend(iter(partial(read_terminal, there), b"")))
+    reader.start()  # a terminal that nobody reads takes 4 kB, then holds the run up
     with os.fdopen(here, "w") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
         monkeypatch.setenv("TERM", "xterm")
         monkeypatch.setenv("COLUMNS", "100")
         go(small(tmp_path, comm), tmp_path / "out", comm)
-        os.set_blocking(there, False)
-        said = os.read(there, 1 << 20).decode()
+    reader.join()
     os.close(there)
+    said = b"".join(parts).decode()
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said)
     assert "━" in plain and re.search(r"A square with a fault .* \d+%", plain)
     assert re.search(
@@ -224,5 +238,18 @@ def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
     monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.02)
     with Screen(Console(stderr=True), "a run") as screen:
         screen.show("stage 1 of 1 (shock): dynamic, step 4 of 10", 0.4)
+        screen.follow(Work(iteration=7, unbalanced=3.14e-5))
         time.sleep(0.1)
-    assert capfd.readouterr().err.splitlines()[-1].endswith("step 4 of 10, and this for 0 s")
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert said.endswith("step 4 of 10, and this for 0 s at Newton iteration 7, 3.1e-05 out of balance")
+
+
+@pytest.mark.serial
+def test_a_run_is_followed_into_its_steps(tmp_path, comm):
+    found = []
+    run(
+        small(tmp_path, comm),
+        tmp_path / "out",
+        progress=RunProgress(small(tmp_path, comm), lambda *_: None, on_work=found.append),
+    )
+    assert found[0].iteration > 0 and found[0].unbalanced < 1e-6
