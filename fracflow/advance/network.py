@@ -56,6 +56,7 @@ class FlowNetwork:
         self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
+        self._found_at: tuple[State | None, int] = (None, 0)
 
     def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
@@ -174,8 +175,11 @@ class FlowNetwork:
         return self._closed[key]
 
     def update(self, state: State) -> None:
-        """Find the components at a state. Collective."""
-        self.check(self._conduction(state))
+        """Find the components at a state, if they are not those that were found last. Collective."""
+        last, version = self._found_at
+        if state is not last or version != self.version:
+            self.check(self._conduction(state))
+            self._found_at = state, self.version
 
     def _conduction(self, state: State) -> Conduction:
         ops = self.model.operators

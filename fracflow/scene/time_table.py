@@ -134,8 +134,10 @@ class TimeTable:
             share = np.where(inside, np.minimum((at_times - times[first]) / length, 1.0), 0.0)
             result = np.where(share < 1.0, result + share * (values[last] - values[first]), values[last])
         at, sizes = self.jumps
-        width = 0.5 * (before + after)
-        for jump, size in zip(at, sizes, strict=True):
+        width, slack = 0.5 * (before + after), float(tolerance.max(initial=0.0))
+        first, last = at_times.min(initial=np.inf) - 0.5 * before, at_times.max(initial=-np.inf) + 0.5 * after
+        near = (at >= first - slack) & (at <= last + slack)  # others come wholly before or after
+        for jump, size in zip(at[near], sizes[near], strict=True):
             is_past = jump < at_times - tolerance
             is_here = ~is_past & (jump <= at_times + tolerance)
             share = np.clip((at_times + 0.5 * after - jump) / width, 0.0, 1.0) if width > 0.0 else 1.0 * is_past

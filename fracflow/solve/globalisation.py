@@ -53,6 +53,34 @@ class StatusHistory:
         return bool(everywhere.any()) and not everywhere[-1]
 
 
+PERIODS = (2, 3)  # iterations after which Newton's method is where it was, seen where laws have a kink and status stays
+SAME = 1e-3  # of a residual: two that near are one
+
+
+class Repetition:
+    """Residuals (n,) of the iterates of Newton's method, and whether they repeat: it takes the same steps for ever then."""
+
+    def __init__(self, least: float) -> None:
+        """Nothing seen yet; residuals below the ``least`` are alike."""
+        self._least = least
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all that was seen."""
+        self._seen: list[Floats] = []
+
+    def see(self, *residuals: float) -> bool:
+        """Whether those of the last period are those of the period before, and not all the same."""
+        self._seen.append(np.maximum(residuals, self._least))
+        return any(self._has(period) for period in PERIODS)
+
+    def _has(self, period: int) -> bool:
+        if len(self._seen) < 2 * period:
+            return False
+        now, before = np.array(self._seen[-period:]), np.array(self._seen[-2 * period : -period])
+        return bool(np.all(np.abs(now - before) <= SAME * now) and np.any(np.ptp(now, axis=0) > SAME * now.max(axis=0)))
+
+
 def statuses(problem: StepProblem) -> Statuses:
     """Whether each section (s, 2) of this rank is open, and whether and which way it slides, as signs."""
     found = np.zeros((len(problem.sections.strain), 2), dtype=np.int8)

@@ -256,6 +256,9 @@ class NewFactors:
     def changed(self, must: bool = False) -> None:
         """Take notice of a matrix that was filled."""
 
+    def renew(self) -> None:
+        """They are those of the present matrix."""
+
     def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
         """Iterations of the solve that was made."""
         return int(self.solver.getIterationNumber())
@@ -298,9 +301,10 @@ class KeptFactors:
         self._is_first = False
         if is_other and (must or is_first or self._spent > self._worth or self._wait > 0):
             self._wait = max(self._wait - 1, 0)
-            self._renew()
+            self.renew()
 
-    def _renew(self) -> None:
+    def renew(self) -> None:
+        """Factors of the present matrix. Collective."""
         self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.made, self._fills, self._spent, self._is_fresh = self.made + 1, self.matrix.fills, 0.0, True
 
@@ -312,7 +316,7 @@ class KeptFactors:
             self._pause = 0 if serves else min(max(2 * self._pause, 1), LONGEST_PAUSE)
             self._wait = self._pause
             if not serves:
-                self._renew()
+                self.renew()
                 self.solver.solve(given, step)
                 taken += int(self.solver.getIterationNumber())
             else:
@@ -354,9 +358,10 @@ class NearFactors:
     def changed(self, must: bool = False) -> None:
         """Take notice of a matrix that was filled. Collective."""
         if self._fills != self.matrix.fills and (must or self._is_worn):
-            self._renew()
+            self.renew()
 
-    def _renew(self) -> None:
+    def renew(self) -> None:
+        """Factors of the present matrix. Collective."""
         self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.made, self._fills, self._is_worn, self._usual = self.made + 1, self.matrix.fills, False, 0
 
@@ -364,7 +369,7 @@ class NearFactors:
         """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""
         taken = int(self.solver.getIterationNumber())
         if self.solver.getConvergedReason() <= 0 and self._fills != self.matrix.fills:
-            self._renew()
+            self.renew()
             self.solver.solve(given, step)
             taken += int(self.solver.getIterationNumber())
         self._usual = self._usual or taken

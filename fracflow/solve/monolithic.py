@@ -12,7 +12,6 @@ from fracflow.solve.accept import start_again, step_report, without_suction
 from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.failure import FLOATING
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear import solves_both
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.rock_cost import direct, rock_choice
@@ -111,7 +110,7 @@ class Auto(WholeLU):
         """Whether the linear solver may be why Newton's method came near a solution and not to it. Collective."""
         if failure.kind == FLOATING or max(problem.residual.solid, problem.residual.flow) > FAR:
             return False
-        return not solves_both(self.newton.solver, self.newton.balance, problem.operators.layout.solid_count)
+        return not self.newton.solves_both(problem)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""

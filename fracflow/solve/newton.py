@@ -20,7 +20,9 @@ from fracflow.solve.failure import CIRCLES, FLOATING, check_step, describe_failu
 from fracflow.solve.floating import Floating
 from fracflow.solve.globalisation import (
     JUST_PAST,
+    PERIODS,
     ActiveSetRounds,
+    Repetition,
     StatusHistory,
     all_changed,
     by_energy,
@@ -28,7 +30,7 @@ from fracflow.solve.globalisation import (
     statuses,
 )
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear import factors_of, renew, set_up, solve_nonlinear
+from fracflow.solve.linear import factors_of, renew, set_up, solve_nonlinear, solves_both
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 
@@ -36,6 +38,7 @@ MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
 PATIENCE = 15  # full Newton steps before a line search, with a fluid without a change of status
+REPEATS = "with and without a line search its residuals repeat"
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -71,9 +74,11 @@ class Newton:
         self.floating: Floating | None = None
         self._krylov = 0
         self._step = np.inf
+        self._is_endless, self._searched = False, 0  # iterations in a row whose step was searched
         self._restless = np.zeros(0, dtype=bool)
         self._strained: Floats | None = None  # sections where the step ends that SNES takes
         self._inner, self._circles = StatusHistory(layout.comm), False
+        self._repetition = Repetition(scene.accuracy.residual)
         self._rounds: ActiveSetRounds
         self._is_held = False
         self._is_start, self._is_filled, self._polished, self._unaccounted = True, False, 0, np.inf
@@ -88,6 +93,16 @@ class Newton:
         finally:
             problem.work.factorisations += self.factors.made - before
 
+    def solves_both(self, problem: StepProblem) -> bool:
+        """Whether the linear solver leaves little of each balance of a trial that failed. Collective.
+
+        It has factors of the last matrix then: those of an earlier one leave much, and say nothing of it.
+        """
+        before = self.factors.made
+        self.factors.renew()
+        problem.work.factorisations += self.factors.made - before
+        return solves_both(self.solver, self.balance, self.matrix.layout.solid_count)
+
     def _solve(self, problem: StepProblem) -> NewtonReport:
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
@@ -98,6 +113,7 @@ class Newton:
         for _ in range(most):
             self._pack(problem)
             self._is_start, self._circles, self._polished, self._is_held = True, False, 0, False
+            self._is_endless, self._searched = False, 0
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
@@ -114,7 +130,7 @@ class Newton:
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
                 is_short = 0 < problem.request.max_iterations < self.scene.accuracy.max_iterations
-                raise self._failure(why_stopped(self.snes, is_short), iterations)
+                raise self._failure(REPEATS if self._is_endless else why_stopped(self.snes, is_short), iterations)
             if self.only == "flow" or problem.request.hold:
                 break
             self._restless = self._rounds.change(problem, self._searches())
@@ -359,8 +375,11 @@ class Newton:
         if lets and self._rounds.let_slide(problem, self._inner.changed[:, 0]):
             self._inner.begin()
         else:
-            cycles = returns or (self._inner.still if is_wet else iteration) >= PATIENCE
-            goes_on = self._circles and not (is_wet and self._inner.is_new)
+            repeats, before = self._repeats(problem), self._circles
+            self._searched = self._searched + 1 if before else 0
+            self._is_endless = repeats and self._searched >= max(PERIODS)  # a search that helped would end elsewhere
+            cycles = returns or repeats or (self._inner.still if is_wet else iteration) >= PATIENCE
+            goes_on = before and not (is_wet and self._inner.is_new)
             self._circles = self._searches() and (cycles or goes_on)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
@@ -370,8 +389,17 @@ class Newton:
         more = is_balanced and not self.only and iteration < accuracy.max_iterations and self._polishes(problem)
         if is_balanced and not more:
             return int(reasons.CONVERGED_FNORM_RELATIVE)
+        if self._is_endless and not is_balanced:
+            return int(reasons.DIVERGED_LINE_SEARCH)
         most = min(accuracy.max_iterations, problem.request.max_iterations or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
+
+    def _repeats(self, problem: StepProblem) -> bool:
+        """Whether residuals repeat while every section keeps its status: the laws have more kinks than those."""
+        if not self._inner.still:
+            self._repetition.begin()
+        residual = problem.residual
+        return self._repetition.see(residual.solid, residual.flow)
 
     def _polishes(self, problem: StepProblem) -> bool:
         """Whether a balanced flow has one iteration more: the work of wells depends on its digits. Collective.

@@ -235,14 +235,15 @@ class StepProblem:
 
     # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. Store the motion of
     # this step as the trial, and zero as the last state: both have more digits so.
+    @cached_property
     def _start(self) -> MotionValues:
         old = self.state.motion.values()
-        return old._replace(displacement=np.zeros_like(old.displacement))
+        return MotionValues(np.zeros_like(old.displacement), old.velocity.copy(), old.acceleration.copy())
 
     def acceleration(self) -> PETSc.Vec:
         """(4.2e) Acceleration of the trial, in a new vector. Collective."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
-        result.setArray(acceleration(self.alphas, moved, self._start()))
+        result.setArray(acceleration(self.alphas, moved, self._start))
         for part in self._driven():
             result.getArray()[part.numbers] = part.acceleration(self.time, self.rule.adjacent)
         return result
@@ -251,7 +252,7 @@ class StepProblem:
         """(4.2f) Velocity of the trial, in a new vector. Collective."""
         before, result = self.state.previous_step.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
-        result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
+        result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start, mean))
         for part in self._driven():
             result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
         return result
@@ -311,7 +312,9 @@ class StepProblem:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
         of_jumps = round_off_here(self.operators, self.sections, self._moved)
-        of_strains = round_off_here(self.operators, self.sections, self._rounded)
+        of_strains = of_jumps
+        if self._rounded is not self._moved:
+            of_strains = round_off_here(self.operators, self.sections, self._rounded)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
