@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
 from fracflow.integrators import keys_of, with_inertia
+from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
@@ -283,6 +284,13 @@ def _actions(scene: Tables) -> Iterator[Fault]:
                 ("stage", index, "kind"),
                 "only the first stage can equilibrate: later states are in balance; remove it",
             )
+        if (
+            stage.until is not None
+            and scene.fracture
+            and all(JOINT_LAWS[table.law].creeps for table in scene.fracture.values())
+        ):
+            why = 'is "incipient", and fractures of law = "rate-and-state" slip at any stress: leave it out'
+            yield ("stage", index, "until"), why
         if stage.takes_no_time:
             continue
         if clock is not None and stage.end is not None and stage.end <= clock:
