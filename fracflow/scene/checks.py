@@ -193,8 +193,9 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
             yield ("rock", name, "rigid"), f"{free} blocks of their own: remove it, or {bounded}"
     if scene.body_force is not None:
         yield ("body_force",), f"{free} cells to carry it: give the initial_stress that it makes, or {bounded}"
-    if scene.initial is not None:
-        yield ("initial",), f"{free} cells that move: remove it, or {bounded}"
+    for key, given in () if scene.initial is None else scene.initial:
+        if given and key != "pressure":
+            yield ("initial", key), f"{free} cells that move: remove it, or {bounded}"
     for key, tables in scene.term_tables.items():
         if key != "absorbing" and (tables[0].places == "sides" or not tables[0].drains):
             yield (key,), f"{free} sides and cells for it: remove it, or {bounded}"
