@@ -1,7 +1,7 @@
 """The mesh that rock without one gets once an event needs inertia: its sides, its sizes, and the model of it.
 
 An unbounded domain has a box around its fractures with absorbing sides. At a distance r from a fracture of half length a an
-event changes stresses by (a/r)^2 of their change there: by 6 % at the nearest side of the usual box (``nearness``).
+event changes stresses by (a/r)^2 of their change there. At the nearest side of the usual box that is 6 % (``nearness``).
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
 def nearness(extent: float, margin: float) -> float:
     """(a/r)^2, the share of the stress of jumps along 2 a = extent that sides at r = margin change.
 
-    Held sides take 0.3 to 0.5 times that of the slip without inertia of one crack, and 0.8 to 1.3 times that of its opening.
+    Without inertia held sides take 0.3 to 0.5 times that of the slip of one crack. Of its opening they take 0.8 to 1.3 times.
     """
     return (0.5 * extent / max(margin, 0.5 * extent)) ** 2
 
