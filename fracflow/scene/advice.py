@@ -54,6 +54,7 @@ def advice(scene: Scene) -> list[str]:
     return [
         *degrees(scene),
         *_idle(scene),
+        *_timeless(scene),
         *_shut_wells(scene),
         *_reflecting(scene),
         *_too_long(scene),
@@ -102,6 +103,17 @@ def _idle(scene: Scene) -> Iterator[str]:
     for option in scene.petsc:
         if not reaches_a_solver(option):
             yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
+
+
+def _timeless(scene: Scene) -> Iterator[str]:
+    """Steady stages that take no time, in which friction of rate and state lets nothing slip."""
+    creeping = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].creeps]
+    for stage in scene.stage if creeping else ():
+        if stage.kind == "steady" and stage.until is None and not stage.time_step:
+            yield (
+                f"stage {stage.title}: takes no time, in which fracture.{creeping[0]} does not slip, however large its shear"
+                ' traction: law = "rate-and-state" slips at a rate; give time_step'
+            )
 
 
 def _shut_wells(scene: Scene) -> Iterator[str]:

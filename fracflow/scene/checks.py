@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
 from fracflow.integrators import keys_of, with_inertia
+from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
@@ -192,8 +193,9 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
             yield ("rock", name, "rigid"), f"{free} blocks of their own: remove it, or {bounded}"
     if scene.body_force is not None:
         yield ("body_force",), f"{free} cells to carry it: give the initial_stress that it makes, or {bounded}"
-    if scene.initial is not None:
-        yield ("initial",), f"{free} cells that move: remove it, or {bounded}"
+    for key, given in () if scene.initial is None else scene.initial:
+        if given and key != "pressure":
+            yield ("initial", key), f"{free} cells that move: remove it, or {bounded}"
     for key, tables in scene.term_tables.items():
         if key != "absorbing" and (tables[0].places == "sides" or not tables[0].drains):
             yield (key,), f"{free} sides and cells for it: remove it, or {bounded}"
@@ -283,6 +285,13 @@ def _actions(scene: Tables) -> Iterator[Fault]:
                 ("stage", index, "kind"),
                 "only the first stage can equilibrate: later states are in balance; remove it",
             )
+        if (
+            stage.until is not None
+            and scene.fracture
+            and all(JOINT_LAWS[table.law].creeps for table in scene.fracture.values())
+        ):
+            why = 'is "incipient", and fractures of law = "rate-and-state" slip at any stress: leave it out'
+            yield ("stage", index, "until"), why
         if stage.takes_no_time:
             continue
         if clock is not None and stage.end is not None and stage.end <= clock:

@@ -6,6 +6,8 @@ from figures_verification.cases import r03
 
 from fracflow.elements.dashpot import energy_over_directions, energy_returned, reflection, reflections, returned
 from fracflow.errors import InputError, SolveError
+from fracflow.reduction.prepare import prepare
+from fracflow.scene.scene import load
 
 RHO, CP, SPEED, PULSE = r03.RHO, r03.CP, r03.SPEED, r03.PULSE
 
@@ -207,3 +209,33 @@ def test_bad_input(run_scene, change, message):
     with pytest.raises(InputError) as caught:
         run_scene(STRESSED + STILL, change)
     assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "sides, said",
+    [
+        (
+            "[{on=['south'], WAVE}, {on=['north', 'east', 'west']}]",
+            {"absorbing east, west: the wave of south runs along"},
+        ),
+        (
+            "[{on=['south', 'east', 'west'], WAVE, direction=[0, 1]}}, {on=['north']}]",
+            {"absorbing south, east, west: a fra"},
+        ),
+        ("[{on=['south'], WAVE}, {on=['north']}]", set()),
+    ],
+)
+def test_sides_that_weaken_a_wave_or_know_no_fracture_are_told(shared_tmp, comm, sides, said):
+    """Sides along the way of a wave took 55 % of it at their cells; a side beyond a joint is given the wave as it was."""
+    wave = "wave={velocity=[[0, 0], [0.01, 1]]" + ("" if "direction" in sides else "}")
+    seam = '[geometry]\nfracture = [{name = "seam", points = [[0, 50], [100, 50]]}]\nsize = 50\n'
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(OBLIQUE.replace("[geometry]\n", seam) + LINEAR)
+    comm.barrier()
+    settings = [f"absorbing={sides.replace('WAVE', wave)}", "stage=[{kind='dynamic', time_step=1e-4, steps=1}]"]
+    notes = prepare(load(shared_tmp / "scene.toml", settings), comm).placed.notes
+    told = {line for line in notes if "runs along" in line or "a fracture ends" in line}
+    assert len(told) == len(said) and all(any(line.startswith(start) for line in told) for start in said)
+
+
+LINEAR = "[fracture.seam]\nlaw = 'linear'\nnormal_stiffness = 1e9\nshear_stiffness = 1e9\n"

@@ -12,9 +12,10 @@ import pytest
 from laws.spring_slider import onsets, reference
 
 from fracflow._petsc import MPI
-from fracflow.errors import Interrupted
+from fracflow.errors import InputError, Interrupted
 from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
+from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
@@ -57,6 +58,7 @@ NETWORK = [
     "stage.injection.dynamic_time_step=0.5 ms",
 ]  # fmt: skip
 MEAN = 4.5  # iterations of a step
+PUSH = '[[load]]\non = "west"\ntraction = [1, 0]\ncontrol = "push"\n'
 STILL = '[[stage]]\nkind = "quasi-static"\ntime_step = 1\nsteps = 1\n'
 
 
@@ -178,3 +180,16 @@ def test_crossing_faults_slip_slowly_and_fast_in_one_run(tmp_path):
     before = slip[np.flatnonzero(kept["step/kind"] == 2)[0] - 1]
     assert 1e-6 < before < 0.1 * slip[-1], "it creeps, and then breaks"
     assert np.abs(kept["energy/residual"]).max() <= 1e-10 * kept["energy/friction"].max()
+
+
+@pytest.mark.serial
+def test_stages_without_time_are_told_or_refused(tmp_path):
+    """Friction of rate and state lets nothing slip at once: 61 doublings of a control ended by asking for wells."""
+    file, steady = tmp_path / "scene.toml", '[[stage]]\nkind = "steady"\n'
+    file.write_text(SCENE + steady + "steps = 1\n")
+    (line,) = [line for line in advice(load(file)) if "takes no time" in line]
+    assert line.startswith("stage steady: ") and "fracture.seam does not slip" in line
+    assert not [line for line in advice(load(file, ["stage.0.time_step=1"])) if "takes no time" in line]
+    file.write_text(SCENE + steady + 'until = "incipient"\ncontrol = "push"\n[control.push]\n' + PUSH)
+    with pytest.raises(InputError, match=r"stage.0.until.* slip at any stress"):
+        load(file)

@@ -79,6 +79,17 @@ def test_fractures_that_cross_as_a_mesh_has_them_in_the_limit():
     assert found.fractures[-1].point["opening"].max() > 0.0 and found.history["energy/friction"][-1] > 0.0
 
 
+def test_fluid_may_start_off_its_initial_pressure():
+    """Fractures without wells keep the fluid that 6 MPa compressed into them, once they have opened under it."""
+    found = solve(NETWORK, "initial.pressure=6 MPa", "well=[]", "load=[]", "stage.0.steps=2")
+    start, end = (each.point["aperture"] * np.exp(4.5e-10 * (each.point["pressure"] - 5e6)) for each in found.fractures)
+    assert found.fractures[-1].point["opening"].max() > 1e-7 and found.open_books < 1e-10
+    sizes = np.linalg.norm(np.diff(found.fractures[0].points[found.fractures[0].pieces], axis=1)[:, 0], axis=1)
+    held = [values[found.fractures[0].pieces].mean(axis=1) @ sizes for values in (start, end)]
+    assert held[0] == pytest.approx(2e-4 * np.exp(4.5e-4) * sizes.sum(), rel=1e-12)
+    assert held[1] == pytest.approx(held[0], rel=1e-10)
+
+
 def test_far_joints_as_series_are_as_all_entries():
     """Slip, opening and pressure, by other linear solvers; fluid drives slip, so that Newton's method has work to do."""
     whole, found = (
@@ -202,6 +213,7 @@ REFUSED = {
     "load=[{traction=[1, 0]}]": "load.*on: missing",
     "stage=[{kind='dynamic', time_step=1, steps=1}]": "stage.*kind.*inertia.*quasi-static",
     "well=[{name='w', on='west', pressure=0}]": "well.*on.*no sides",
+    "initial={pressure=1e6, velocity=[1, 0]}": r"initial\.velocity.* no cells that move",
     "body_force={gravity=9.81}": "body_force.*: .*initial_stress",
     "absorbing=[{on='west'}]": "absorbing.*: .*no sides",
     "geometry.cells=quads": "cells.*: .*no cells",

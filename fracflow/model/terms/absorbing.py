@@ -95,6 +95,35 @@ def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
     return lines
 
 
+def _passes_by(blocks: Blocks, scene: Scene, absorbing: Absorbing, direction: Floats) -> list[str]:
+    """A line for the log on sides without a wave that one of another entry runs along, or into the rock. Collective."""
+    passed = []
+    for name in (name for other in scene.absorbing if other.wave is None for name in other.on):
+        towards = outward(blocks, side_facets(blocks, name)) @ direction
+        if blocks.comm.allreduce(float(towards.min(initial=np.inf)), op=MPI.MIN) <= SAME:
+            passed.append(name)
+    if not passed:
+        return []
+    return [
+        f"absorbing {', '.join(passed)}: the wave of {', '.join(absorbing.on)} runs along there, and is absorbed as it passes:"
+        " it comes to the middle too weak. Name these sides in the [[absorbing]] of the wave, with wave.direction; or take"
+        " [[tie]] or [[support]] in place of [[absorbing]]"
+    ]
+
+
+def _passes_fractures(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
+    """A line for the log where a wave comes in along sides that fractures end on. Collective."""
+    assert absorbing.wave is not None
+    nodes = facets.nodes.ravel()
+    parted = bool((blocks.solid.origin[nodes] != blocks.solid.node_ids[nodes]).any())
+    if absorbing.wave.direction is None or not blocks.comm.allreduce(int(parted)):
+        return []
+    return [
+        f"absorbing {', '.join(absorbing.on)}: a fracture ends there, and the wave comes in beyond it as if there were none:"
+        " too strong behind a soft joint. Let the fracture end inside, or put these sides farther from what is measured"
+    ]
+
+
 class AbsorbingSides(Term):
     """All absorbing sides of a scene: dashpots, waves that come in, and nodes that stay without inertia."""
 
@@ -111,7 +140,11 @@ class AbsorbingSides(Term):
         self.damping = assembled_at_nodes(blocks, given, expand)
         waves = [(absorbing, facets) for absorbing, facets in self.sides if absorbing.wave is not None]
         self.waves = tuple(_wave(blocks, absorbing, facets, expand) for absorbing, facets in waves)
-        self._notes = tuple(line for each in self.sides for line in _notes(blocks, *each))
+        lines = [line for each in self.sides for line in _notes(blocks, *each)]
+        for absorbing, facets in waves:
+            lines += _passes_by(blocks, scene, absorbing, _direction(blocks.comm, absorbing, facets))
+            lines += _passes_fractures(blocks, absorbing, facets)
+        self._notes = tuple(lines)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -173,20 +206,28 @@ class IncidentWave:
         return float(self.blocks.comm.allreduce(float(np.sum(self.work * self._at(time, around) ** 2))))
 
 
-def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> IncidentWave:
-    """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
-    wave, comm = absorbing.wave, blocks.comm
-    assert wave is not None
-    length = facets.size.sum(axis=1)
-    if wave.direction is None:
+def _direction(comm: MPI.Comm, absorbing: Absorbing, facets: Facets) -> Floats:
+    """Unit vector (dim,) of the way of a wave. Raises InputError, on every rank. Collective."""
+    assert absorbing.wave is not None
+    if absorbing.wave.direction is not None:
+        inward = np.array(absorbing.wave.direction)
+    else:
+        length = facets.size.sum(axis=1)
         inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
         total = comm.allreduce(float(length.sum()))
         if np.linalg.norm(inward) < (1.0 - SAME) * total:
             fault = f"absorbing: on = {list(absorbing.on)}: is not one straight side"
             raise InputError(f"{fault}: give wave.direction, the way the wave goes")
-    else:
-        inward = np.array(wave.direction)
-    direction = inward / np.linalg.norm(inward)
+    found: Floats = inward / np.linalg.norm(inward)
+    return found
+
+
+def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> IncidentWave:
+    """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
+    wave, comm = absorbing.wave, blocks.comm
+    assert wave is not None
+    length = facets.size.sum(axis=1)
+    direction = _direction(comm, absorbing, facets)
     motion = direction if wave.kind == "p" else np.array([-direction[1], direction[0]])
     speed = facets.speed(wave.kind)
     traction = dashpot.wave_traction(facets.normal, direction, motion, facets.lam, facets.shear, speed)
