@@ -246,6 +246,7 @@ class StepReport:
     wasted          Newton iterations spent on those, which ``newton`` does not count
     grown           largest factor by which an aperture grew in the step
     widening        the same where no pressure is prescribed, and ``widest``, its fracture and place
+    missed          work of friction that a step with inertia misses; see ``energy.work_missed`` [energy per thickness]
     """
 
     newton: int = 0
@@ -266,6 +267,7 @@ class StepReport:
     grown: float = 1.0
     widening: float = 1.0
     widest: str = ""
+    missed: float = 0.0
 
     def with_rejected(self, newton: int) -> StepReport:
         """The same with one more rejected trial, and its Newton iterations."""

@@ -25,6 +25,7 @@ class Totals:
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them.
     evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
+    missed    work of friction that steps with inertia miss, and ``turning``, whether the log has a line on it
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
@@ -52,6 +53,8 @@ class Totals:
     far_slip: float = 0.0
     sucked: int = 0
     widening: float = 1.0
+    missed: float = 0.0
+    turning: int = 0
     doubts: list[str] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
