@@ -133,10 +133,12 @@ class ExplicitSubsteps:
             refuse_jumps(blocks, joints, before, run.sections, part.time)
             report = replace(report, **flow.accept(run.sections)._asdict())
         elif blocks.sizes.joints:
-            found, iterations, left = explicit.leapfrog.joints_at_end(run.free_strain(), part)
-            run.pull(found)
+            solved = explicit.leapfrog.joints_at_end(run.free_strain(), part)
+            run.pull(solved.sections)
             refuse_jumps(blocks, joints, before, run.sections, part.time)
-            report = replace(report, newton=iterations, solid_residual=left)
+            report = replace(
+                report, newton=solved.iterations, solid_residual=solved.left, solved=1, refused=int(solved.is_refused)
+            )
         run.move(part.time, around, is_last)
         return report
 

@@ -11,6 +11,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.advance.slow_slip import deforming
 from fracflow.advance.substeps import SubstepCursor
+from fracflow.elements.dashpot import p_speed
 from fracflow.errors import SolveError
 from fracflow.model.setup import Model
 from fracflow.model.state import State
@@ -76,7 +77,7 @@ def _s_speed(rock: Rock) -> float:
 def _p_speed(rock: Rock) -> float:
     """c_p [length/time]."""
     young, nu, density = rock.youngs_modulus or 0.0, rock.poissons_ratio or 0.0, rock.density or math.inf
-    return math.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
+    return p_speed(young, nu, density)
 
 
 @dataclass(frozen=True)

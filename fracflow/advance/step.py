@@ -32,7 +32,7 @@ from fracflow.integrators import Alphas, Steady, Stepper, first, stepper_from
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, room_between, stored, widening
-from fracflow.model.energy import dissipated, update_balance
+from fracflow.model.energy import dissipated, update_balance, work_missed
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
@@ -269,7 +269,8 @@ class SingleStep:
             now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)
             if now == reached and is_same:
                 totals = self._totals(stepper, problem, replace(request, loads=limited), now, new)
-                return replace(new, **totals), replace(report, digits=digits)
+                missed = self._missed(state, new) if rule.inertia else 0.0
+                return replace(new, **totals), replace(report, digits=digits, missed=missed)
             new.destroy()
             spent += report.newton
             cycles = is_same and (cycles or now in tried)
@@ -278,6 +279,11 @@ class SingleStep:
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         refuse_outlets(request.time, spent, failed)
+
+    def _missed(self, state: State, new: State) -> float:
+        """Work that friction of all sections misses in a step [energy per thickness]. Collective."""
+        joints, comm = self.solvers.model.operators.joints, self.solvers.model.operators.layout.comm
+        return float(comm.allreduce(work_missed(joints.weights, state.sections, new.sections)))
 
     def _foreseen(self, rule: StepRule, state: State, request: StepRequest) -> Guess | None:
         """Motion and pressures to begin from: as the last step moved, where friction has a state; else None.

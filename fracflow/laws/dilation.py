@@ -24,6 +24,7 @@ DILATION = HistoryVariable(
     "scalar", "length", "opening that slip has brought", published=False
 )  # output has it as dilation
 RIDDEN = HistoryVariable("scalar", "length", "length of the path of plastic slip in contact", published=False)
+APART = HistoryVariable("scalar", "1", "1 where the walls are apart, else 0", published=False)
 MOST = 100  # iterations of a section
 SHARP = 4.0 * float(np.finfo(float).eps)
 
@@ -45,7 +46,10 @@ class Dilatant(JointLaw):
     is evaluated at an opening by dilation that its own slip brings about, found section by section. The more the walls ride
     up, the less they slip: there is one such opening, and Newton's method has it between two bounds.
 
-    History: that of the law, ``dilation`` u [length] and ``ridden`` s [length].
+    Walls in contact ride up while they move apart: a section parts once it moves apart by more than the slip without any
+    strength lifts it, so that its traction falls to zero continuously. Walls that have parted touch again at u.
+
+    History: that of the law, ``dilation`` u [length], ``ridden`` s [length], and ``apart``, 1 where the walls have parted.
     """
 
     law: JointLaw
@@ -56,18 +60,21 @@ class Dilatant(JointLaw):
         """Show the history and the kind of the law of friction as its own."""
         for name in ("status", "passes_over", "slides", "opens", "creeps", "weakens_over", "no_drop"):
             object.__setattr__(self, name, getattr(self.law, name))
-        object.__setattr__(self, "history", {**self.law.history, "dilation": DILATION, "ridden": RIDDEN})
+        object.__setattr__(
+            self, "history", {**self.law.history, "dilation": DILATION, "ridden": RIDDEN, "apart": APART}
+        )
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
         """Response to strain (n, dim) after ``history``, at most one change of status: by the strength before it dilates."""
         before = history["dilation"]
-        first = response = self.law.evaluate(_less(strain, before), history, step)
+        opening, first = self._touching(strain, history, step)
+        response = first
         latched = {**history, **{name: first.history[name] for name in self.status}}
         held = replace(step, hold=True)
         slip, by_strain = self._slip(first, history)
         gained, grade = self._gained(history["ridden"], slip)
-        opening, left = before.copy(), -gained
-        low, high = np.minimum(before, before + gained), np.maximum(before, before + gained)
+        left = (opening - before) - gained
+        low, high = np.minimum(opening, before + gained), np.maximum(opening, before + gained)
         moves = wanted = gained != 0.0
         for _ in range(MOST):
             if not wanted.any():
@@ -95,8 +102,32 @@ class Dilatant(JointLaw):
             tangent=response.tangent - back,
             inelastic=np.concatenate([response.inelastic[:, :-1], opening[:, None]], axis=1),
             margin=first.margin,
-            history={**response.history, "dilation": opening, "ridden": history["ridden"] + slip},
+            history={
+                **response.history,
+                "dilation": opening,
+                "ridden": history["ridden"] + slip,
+                "apart": response.is_open.astype(float),
+            },
         )
+
+    def _touching(self, strain: Floats, history: History, step: LawStep) -> tuple[Floats, JointResponse]:
+        """Least opening (n,) by dilation with which walls in contact stay so, and the response there; u where they part.
+
+        Walls that move apart from u, but by less than slip without strength lifts them, are taken where they just touch.
+        """
+        before = history["dilation"]
+        elastic, closing = _less(strain, before), np.zeros_like(strain)
+        first = self.law.evaluate(elastic, history, step)
+        leaves = first.is_open & (history["apart"] == 0.0)
+        if not leaves.any():
+            return before.copy(), first
+        closing[:, -1] = -1.0
+        gap = np.where(leaves, self.law.change_at(elastic, closing), 0.0)
+        least = before + gap + np.where(leaves, SHARP * (np.abs(strain[:, -1]) + gap + before), 0.0)
+        touching = self.law.evaluate(_less(strain, least), history, step)
+        gained, _ = self._gained(history["ridden"], self._slip(touching, history)[0])
+        rides = leaves & (before + gained > least)
+        return np.where(rides, least, before), _either(rides, touching, first)
 
     def _slip(self, response: JointResponse, history: History) -> tuple[Floats, Floats]:
         """Slip (n,) in contact since ``history``, along the way of sliding, and its derivatives by strain (n, dim)."""
@@ -129,7 +160,7 @@ class Dilatant(JointLaw):
 
     def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
         """That of the law of friction, and zeros (sections,) of its own."""
-        none = {"dilation": np.zeros(sections), "ridden": np.zeros(sections)}
+        none = {name: np.zeros(sections) for name in ("dilation", "ridden", "apart")}
         return self.law.initial_history(sections, dim) | none
 
     def has_changed(self, old: History, new: History) -> Bools:
@@ -145,8 +176,11 @@ class Dilatant(JointLaw):
         return self.law.change_at(strain, increment)
 
     def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:
-        """Distances (n, 2) from the next event: dilation by the slip of the way there changes no sign."""
-        return self.law.approach(_less(strain, history["dilation"]), change, history, step)
+        """Distances (n, 2) from the next event; where walls touch at u, dilation on the way there changes no sign."""
+        opening, rides = history["dilation"], self._touching(strain, history, step)[0] > history["dilation"]
+        if rides.any():
+            opening = np.where(rides, self.evaluate(strain, history, step).inelastic[:, -1], opening)
+        return self.law.approach(_less(strain, opening), change, history, step)
 
     def with_other_status(self, strain: Floats, history: History, chosen: Bools) -> dict[str, Floats]:
         """``history`` with the other status of friction at the chosen sections (n,)."""

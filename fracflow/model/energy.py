@@ -170,6 +170,18 @@ def dissipated(before: Sections, after: Sections) -> Floats:
     return np.asarray(0.5 * work.sum(axis=1))
 
 
+def work_missed(weights: Floats, before: Sections, after: Sections) -> float:
+    """(2.27b) Work of friction that its mean over a step misses on this rank's sections whose slip turns in the step.
+
+    There the shear traction that the step begins with is against the slip of the step: its half of the mean gives energy
+    back, where friction takes it all along [energy per thickness].
+
+    weights  (s,) length or area that each section stands for
+    """
+    given = np.einsum("si,si->s", before.traction[:, :-1], (after.inelastic - before.inelastic)[:, :-1])
+    return float(weights @ np.maximum(-0.5 * given, 0.0))
+
+
 def joint_work(weights: Floats, before: Sections, after: Sections) -> Floats:
     """(2.27) with (2.33b): work (5,) on this rank's sections in a step.
 

@@ -246,6 +246,8 @@ class StepReport:
     wasted          Newton iterations spent on those, which ``newton`` does not count
     grown           largest factor by which an aperture grew in the step
     widening        the same where no pressure is prescribed, and ``widest``, its fracture and place
+    solved          explicit steps that solved joints without a fluid; ``refused``, those whose guess their laws refused
+    missed          work of friction that a step with inertia misses; see ``energy.work_missed`` [energy per thickness]
     """
 
     newton: int = 0
@@ -266,6 +268,9 @@ class StepReport:
     grown: float = 1.0
     widening: float = 1.0
     widest: str = ""
+    missed: float = 0.0
+    solved: int = 0
+    refused: int = 0
 
     def with_rejected(self, newton: int) -> StepReport:
         """The same with one more rejected trial, and its Newton iterations."""
@@ -288,4 +293,6 @@ class StepReport:
             located=earlier.located + self.located,
             rejected=earlier.rejected + self.rejected,
             wasted=earlier.wasted + self.wasted,
+            solved=earlier.solved + self.solved,
+            refused=earlier.refused + self.refused,
         )

@@ -257,7 +257,8 @@ class Snapshot:
     def at_place(self, place: FracturePlace) -> Floats:
         """All ``columns`` (width,) at a place: means over its (k,) joint ends, or interpolated between two."""
         rows = np.array([self.probed[int(joint)][end] for joint, end in zip(place.joints, place.ends, strict=True)])
-        mean: Floats = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
+        # of few short rows np.mean takes four times as long, for each probe and step
+        mean: Floats = np.array(place.shares) @ rows if place.within else np.add.reduce(rows) / len(rows)
         return mean
 
 

@@ -16,16 +16,25 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 
+import numpy as np
+
 from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.far_sides import decide_sides
-from fracflow.reduction.inertia import decide_inertia
+from fracflow.reduction.inertia import decide_inertia, spans
 from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
+from fracflow.scene.materials import Rock
+from fracflow.scene.units import LENGTH
 
 __all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations"]
+
+
+def _p_speed(rock: Rock) -> float:
+    """c_p [length/time]; 0 of rigid rock, in which no wave travels."""
+    return dashpot.p_speed(rock.youngs_modulus or 0.0, rock.poissons_ratio or 0.0, rock.density or np.inf)
 
 
 def fields(facts: ReductionInput) -> Iterator[Decision]:
@@ -41,13 +50,17 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
     scene = facts.scene
     sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     ratios = {rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None}
+    lasts = sum(end - start for _, stage, start, end in spans(scene) if stage.kind == "dynamic")
+    fast = max((_p_speed(rock) for rock in scene.rock.values()), default=0.0)
+    far = f"{dashpot.silent_distance(fast, lasts):.3g}{scene.unit_system.behind(LENGTH)}"
+    remedy = f"move it {far} away, from where nothing is back before the end," if lasts else "move it away,"
     for ratio in sorted(ratios) if sides and scene.has_dynamics else ():
         of_p, of_s = (dashpot.energy_over_directions(ratio, kind) for kind in ("p", "s"))
         yield Decision(
             "rock beyond absorbing sides", True,
             f"share of the energy of waves from all directions that {sides} send back; by angle in log.txt",
             f"{of_p:.1%} of P, {of_s:.1%} of S waves (Poisson's ratio {ratio:g})", "0 along the normal",
-            "waves that meet a side at a slant come back weaker: move it away, or turn it towards them", "the rock there",
+            f"waves that meet a side at a slant come back weaker: {remedy} or turn it towards them", "the rock there",
         )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
 CHANGED = 0.5  # relative change of the predicted contraction from which on it is reported again
+TURNING = 1e-4  # of the work of friction: 0.05 where slip is off by a quarter, none where steps resolve the motion
 LEAST_FACTOR = 0.1  # smaller factors are all the same
 FOLD = 1.5
 """Largest growth of an aperture by inflow through it, in a step of backward Euler, d - d0 = c d^3. For c d0^2 > 4/27 only the
@@ -60,6 +61,8 @@ class Notices:
             self._fast_slip(state)
         if step.dt > 0.0 and creeps(self._model) and "dynamic" in (self._scene.stage[step.stage].kind, step.regime):
             self._far_slip(step)
+        if report.missed > 0.0:
+            self._turning(step)
         if state.wells_at_limit or state.wells_shut:
             self._limits(state)
         self._coupling(f"stage {self._scene.stage[step.stage].title}", state.time, report)
@@ -102,6 +105,25 @@ class Notices:
             f"time {self._scene.time_text(state.time)}: a step with inertia slips {far:.3g} times the distance over which the"
             f" state of friction evolves: slip may be off by some per cent until it has ended, rates by more; {key} below"
             f" {self._scene.time_text(FAR * step.dt / far, 2)}"
+        )
+
+    def _turning(self, step: Step) -> None:
+        """A line, once, where slip turns from step to step, as a motion that steps do not resolve drives it.
+
+        Nothing damps it where the rule of the step does not: each turn gives energy back that friction would have taken, and
+        walls that dilate ride up further. Slip goes on where it had stopped.
+        """
+        totals, friction = self._totals, step.state.energy["friction"]
+        totals.missed += step.report.missed
+        if totals.turning or totals.missed <= TURNING * friction:
+            return
+        totals.turning = 1
+        key = "dynamic_time_step" if step.regime else "time_step"
+        self._doubt(
+            f"time {self._scene.time_text(step.state.time)}: slip turns back within single steps, and friction misses"
+            f" {totals.missed / max(friction, totals.missed):.1g} of its work: later results may be wrong, as slip may go on by"
+            f' itself; {key} below {self._scene.time_text(0.5 * step.dt, 2)}, or method.stepper = "generalised-alpha" with'
+            " rho_infinity = 0.5"
         )
 
     def _limits(self, state: State) -> None:

@@ -25,6 +25,8 @@ class Totals:
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them.
     evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
+    solved    explicit steps that solved joints without a fluid, and ``refused``, those whose guess the laws refused
+    missed    work of friction that steps with inertia miss, and ``turning``, whether the log has a line on it
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
@@ -52,6 +54,10 @@ class Totals:
     far_slip: float = 0.0
     sucked: int = 0
     widening: float = 1.0
+    missed: float = 0.0
+    solved: int = 0
+    refused: int = 0
+    turning: int = 0
     doubts: list[str] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
@@ -69,6 +75,8 @@ class Totals:
         self.factorisations += report.factorisations
         self.rejected += report.rejected
         self.wasted += report.wasted
+        self.solved += report.solved
+        self.refused += report.refused
 
     def observe(self, time: float, margin: float, least: int, least_flow: float) -> None:
         """Keep the smallest margin of a status with its time, and the most that minimum apertures did; see ``Snapshot``."""
@@ -111,6 +119,8 @@ class Totals:
             )
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"
+        if self.refused:
+            yield f"joints of {self.refused} of {self.solved} explicit steps took more than the guess of the compiled loops"
         if self.evaluations:
             yield (
                 f"work in all: {self.evaluations} evaluations of the balances, {self.factored} factorisations;"

@@ -95,3 +95,24 @@ def test_a_long_slip_at_once_does_not_crush_the_walls(name):
     assert np.isfinite(found.traction).all() and (found.inelastic[1:, -1] > 0.0).all()
     assert (strain[:, -1] - found.inelastic[:, -1] > -0.01).all()
     assert (np.diff(found.inelastic[:, -1]) >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", FRICTION)
+def test_walls_that_ride_up_as_fast_as_they_move_apart_stay_in_contact(name):
+    """Their normal traction falls to zero without a jump, where slip without strength lifts them; parted ones touch at u."""
+    law, spacing = of(name), 0.011 / (SECTIONS - 1)
+    strain, past = np.zeros((SECTIONS, 2)), law.initial_history(SECTIONS, 2)
+    strain[:, 0], strain[:, 1] = 0.05, np.linspace(0.0, 0.011, SECTIONS)
+    part, step = 4.0 / 2e3, LawStep(0.0, DT)  # the opening at which the closure has no traction, -f_n0/k_n0
+    found = law.evaluate(strain, past, step)
+    rides = strain[:, 1] < part + ridden_up(0.05)
+    assert np.array_equal(found.is_open, ~rides) and (strain[rides, 1] > part).sum() > 10
+    k_n = 2e3 / np.minimum(1.0 + (strain[:-1, 1] - ridden_up(0.05)) / 0.01, 1.0) ** 2
+    assert np.all(np.diff(found.traction[:, 1]) <= 1.01 * k_n * spacing) and np.all(
+        np.diff(found.traction[:, 1]) >= 0.0
+    )
+    contact = law.approach(strain, strain, past, step)[:, 1]
+    assert not law.status or np.array_equal(contact < 0.0, rides)  # friction without a status has no events
+    apart = law.evaluate(strain, {**past, "apart": np.ones(SECTIONS)}, step)
+    assert np.array_equal(apart.is_open, strain[:, 1] > part)
+    assert np.array_equal(apart.history["apart"], apart.is_open)

@@ -1,6 +1,8 @@
 """Joints of explicit steps: the compiled guess has the balance and the statuses that the laws alone find."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +12,7 @@ from fracflow._petsc import MPI
 from fracflow.laws import HyperbolicCoulomb, LawStep, Linear, SlipWeakening
 from fracflow.model.joints import Joints, LawGroup
 from fracflow.solve.clusters import Batch, Clusters, Exchange
+from fracflow.solve.leapfrog import guess
 from fracflow.solve.leapfrog.compiled import library
 from fracflow.solve.leapfrog.guess import joint_guess
 from fracflow.solve.leapfrog.joints import JointSolver
@@ -102,3 +105,16 @@ def test_laws_without_a_copy():
     strange = replace(joints, laws=(LawGroup(joints.laws[0].sections, other), *joints.laws[1:]))
     for each in (strange, replace(joints, dim=3)):
         assert joint_guess(SimpleNamespace(joints=each, layout=layout), clusters, 30) is None
+
+
+def test_columns_in_c_are_those_handed_to_it():
+    """By their names, in the order of ``PARAMETERS`` behind the law's number and its section's weight."""
+    given = {
+        "normal_stiffness": "K_N", "shear_stiffness": "K_S", "aperture": "GAP", "initial_normal_traction": "F_N",
+        "initial_shear_traction": "F_S", "cohesion": "COHESION", "friction_coefficient": "PEAK",
+        "dynamic_friction_coefficient": "DYNAMIC", "slip_weakening_distance": "DISTANCE", "stick_slip_ratio": "RATIO",
+        "strength_when_open": "OPEN_STRENGTH",
+    }  # fmt: skip
+    text = Path(guess.__file__).with_name("joints.c").read_text(encoding="utf-8")
+    columns = re.search(r"enum \{ (KIND.*?), LAW \};", text)
+    assert columns and columns[1].split(", ") == ["KIND", "WEIGHT", *(given[name] for name in guess.PARAMETERS)]

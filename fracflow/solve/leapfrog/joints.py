@@ -27,11 +27,12 @@ from fracflow.solve.sections import MOTION_ROUND_OFF, TIGHT
 
 
 class Solved(NamedTuple):
-    """Sections in balance, iterations to there, and what is left of motions over the largest."""
+    """Sections in balance, iterations to there, what is left of motions over the largest, and whether a guess was refused."""
 
     sections: Sections
     iterations: int
     left: float
+    is_refused: bool = False
 
 
 class JointSolver:
@@ -57,7 +58,8 @@ class JointSolver:
         Raises NotConverged, on every rank. Collective.
         """
         self._scale(share)
-        guessed = None if self.guess is None or step.hold else self._confirmed(self.guess, before, free, share, step)
+        guesses = self.guess is not None and not step.hold
+        guessed = self._confirmed(self.guess, before, free, share, step) if self.guess is not None and guesses else None
         if guessed is not None:
             return guessed
         joints, comm, held = (
@@ -88,7 +90,7 @@ class JointSolver:
             if most > TIGHT * moved:
                 continue
             if not changes or step.hold:
-                return Solved(answer, total, worst / moved if moved > 0.0 else 0.0)
+                return Solved(answer, total, worst / moved if moved > 0.0 else 0.0, guesses)
             rounds, since = rounds + 1, 0
             if rounds == MOST_CHANGES:
                 where = fractures_of(self.operators.blocks, changed) or "the network"
