@@ -7,8 +7,12 @@ import pytest
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.advance import discontinuities as instants
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
+from fracflow.mesh.distribute import distribute
+from fracflow.model.setup import read_sized
 from fracflow.scene.scene import load
+from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
 
 SHORT = {name: ["stage.1.steps=3"] for name in ("crossings", "report_5_3")}
@@ -73,3 +77,27 @@ def test_nothing_is_left_by_an_instant_that_is_not_found(instant, shared_tmp, ca
     PETSc.garbage_view()
     text = capfd.readouterr().out
     assert "Total entries: 0" in text if MPI.COMM_WORLD.rank == 0 else not text or "Total entries: 0" in text
+
+
+def test_solvers_are_freed_before_the_last_fields_are_written(shared_tmp, monkeypatch):
+    """The fields of the rock take a tenth of the memory of the solvers: both at once would be the peak of a run."""
+    order = []
+    for kind, name in ((Stepping, "destroy"), (Recorder, "last")):
+        work = getattr(kind, name)
+
+        def noted(*given, name=name, work=work):
+            order.append(name)
+            return work(*given)
+
+        monkeypatch.setattr(kind, name, noted)
+    run(load(MESHES / "report_5_3" / "scene.toml", ["output.pictures=false", *SHORT["report_5_3"]]), shared_tmp / "out")
+    assert order == ["destroy", "last"]
+
+
+@pytest.mark.serial
+def test_one_rank_holds_arrays_of_the_mesh_once():
+    mesh = read_sized(load(MESHES / "report_5_3" / "scene.toml"))
+    block = distribute(mesh, MPI.COMM_SELF).solid
+    shared = ("cells", "points", "origin", "cell_rock")
+    assert all(getattr(block, name) is getattr(mesh, name) for name in shared)
+    assert block.node_global.base is None  # a view would keep other numbers alive

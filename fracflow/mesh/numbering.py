@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow._petsc import MPI
 from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
@@ -41,7 +43,12 @@ def blocks_of(share: Share, common: Common, comm: MPI.Comm) -> Blocks:
     order = np.lexsort([share.node, share.owner != rank])
     local = np.empty(len(order) + 1, dtype=np.int64)
     local[order], local[-1] = np.arange(len(order)), -1  # the last entry keeps the padding at -1
-    node, owner, body = share.node[order], share.owner[order], share.body[order]
+    is_sorted = bool((order[1:] > order[:-1]).all())  # as on one rank: then arrays are the mesh's own, not copies
+
+    def ordered(values: NDArray[Any]) -> NDArray[Any]:
+        return values if is_sorted else values[order]
+
+    node, owner, body = ordered(share.node), ordered(share.owner), ordered(share.body)
     owned = int(np.count_nonzero(owner == rank))
     free = np.where(body[:owned] >= 0, 0, dim)
     rotations = dim * (dim - 1) // 2
@@ -62,11 +69,11 @@ def blocks_of(share: Share, common: Common, comm: MPI.Comm) -> Blocks:
     unknown, unused = _tied(comm, common.ties, node, unknown, owned)
     solid = SolidBlock(
         node_ids=node,
-        origin=share.origin[order],
-        node_global=numbers[:, 0],
-        points=share.points[order],
+        origin=ordered(share.origin),
+        node_global=numbers[:, 0].copy(),
+        points=ordered(share.points),
         owned=owned,
-        cells=local[share.cells],
+        cells=share.cells if is_sorted else local[share.cells],
         cell_ids=share.cell,
         cell_rock=share.cell_rock,
         rocks=common.rocks,
@@ -81,7 +88,7 @@ def blocks_of(share: Share, common: Common, comm: MPI.Comm) -> Blocks:
         body_center=common.body_center,
         body_rock=common.body_rock,
         body_owner=common.body_owner,
-        piece=share.piece[order],
+        piece=ordered(share.piece),
         piece_rock=common.piece_rock,
         piece_box=common.piece_box,
         unknown_starts=unknown_starts,

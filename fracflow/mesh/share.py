@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 
@@ -106,21 +108,22 @@ class Owners:
 
 def share_of(mesh: SplitMesh, owners: Owners, rank: int, cells: Ints, joints: Ints, sides: Ints) -> Share:
     """Those cells (m,), joints (j,) and named facets (s,) of a mesh, with all nodes on them."""
-    corners, facets = mesh.cells[cells], mesh.side_facets[sides]
+    corners, facets = taken(mesh.cells, cells), mesh.side_facets[sides]
     faces = np.stack([mesh.joint_bottom[joints], mesh.joint_top[joints]], axis=1)
     node, local = _picked(len(mesh.points), corners, faces)
+    has_all = len(node) == len(mesh.points)
     flow_node, local_flow = _picked(len(mesh.flow_origin), mesh.joint_flow[joints])
     return Share(
         rank=rank,
         node=node,
-        points=mesh.points[node],
-        origin=mesh.origin[node],
-        owner=owners.node[node],
-        body=owners.body[node],
-        piece=owners.piece[node],
+        points=taken(mesh.points, node),
+        origin=taken(mesh.origin, node),
+        owner=taken(owners.node, node),
+        body=taken(owners.body, node),
+        piece=taken(owners.piece, node),
         cell=cells,
-        cells=local[corners],
-        cell_rock=mesh.cell_rock[cells],
+        cells=corners if has_all else local[corners],
+        cell_rock=taken(mesh.cell_rock, cells),
         joint=joints,
         faces=local[faces],
         fracture=mesh.joint_fracture[joints],
@@ -134,6 +137,11 @@ def share_of(mesh: SplitMesh, owners: Owners, rank: int, cells: Ints, joints: In
         side_cell=np.searchsorted(cells, mesh.side_cell[sides]),
         edges=None if owners.edges is None else _edges_of(owners.edges, local, cells, joints, sides),
     )
+
+
+def taken(values: NDArray[Any], rows: Ints) -> NDArray[Any]:
+    """Some rows (k,) of an array (n, ...), ascending: where they are all it is that array itself, and takes no memory."""
+    return values if len(rows) == len(values) else values[rows]
 
 
 def _edges_of(edges: Edges, local: Ints, cells: Ints, joints: Ints, sides: Ints) -> Edges:

@@ -41,8 +41,11 @@ class Order:
     def __init__(self, comm: MPI.Comm, ids: Ints, total: int) -> None:
         """By the original numbers (n,) of the rows."""
         self.comm, self.total, self.count = comm, total, len(ids)
-        self._rows = np.argsort(ids, kind="stable")
-        self._ids = ids[self._rows]
+        self._rows: Ints | None = None  # as they come: on one rank they are in order, and need no memory
+        if (ids[1:] < ids[:-1]).any():
+            self._rows = np.argsort(ids, kind="stable")
+            ids = ids[self._rows]
+        self._ids = ids
 
     def of(self, values: ByRows) -> Distributed:
         """The array that has these values (n, ...) on this rank."""
@@ -92,7 +95,8 @@ class Order:
         """This rank's rows from ``first`` to ``last``, their places there, and on rank 0 how many each rank has."""
         start, end = np.searchsorted(self._ids, (first, last))
         places = (self._ids[start:end] - first).astype(np.int32)
-        return self._rows[start:end], places, self.comm.gather(len(places), root=0)
+        rows = np.arange(start, end) if self._rows is None else self._rows[start:end]
+        return rows, places, self.comm.gather(len(places), root=0)
 
     def _of_others(self, counts: list[int]) -> Iterator[tuple[int, NDArray[np.int32]]]:
         """The other ranks that have rows of a slab, and the places of these, which they send."""

@@ -104,6 +104,7 @@ class Flow:
     pick        pressures of the flow nodes -> joint ends
     pressure_load  B of (2.38): pressures -> forces on the solid unknowns
     storage_coupling  B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
+    feedback    the displacements, by columns, that the balance of each flow node may depend on
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
@@ -121,7 +122,7 @@ class Flow:
     pick: PETSc.Mat
     pressure_load: PETSc.Mat
     storage_coupling: PETSc.Mat
-    pattern: PETSc.Mat
+    feedback: PETSc.Mat
     aperture: Floats
     least: Floats
     length: Floats
@@ -273,6 +274,10 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
+    around = push if kinds[0] == "consistent" else weighted("consistent")
+    feedback = around.transpose(PETSc.Mat())  # by its few rows: by displacements even empty rows take memory
+    if around is not push:
+        around.destroy()
     keys = ("aperture", "minimum_hydraulic_aperture")
     aperture, least = (along_fractures(blocks, scene, key, natural) for key in keys)
     resting = create_vector(node_layout, comm)
@@ -282,7 +287,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         pick,
         push,
         squeeze,
-        push if kinds[0] == "consistent" else weighted("consistent"),
+        feedback,
         aperture,
         least,
         length,

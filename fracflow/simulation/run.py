@@ -274,10 +274,15 @@ def _stepped(
         recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))
     stepping = Stepping(model, recorder.log)
     try:
-        return _steps(stepping, recorder, step, observer, is_on_record)
+        step, failure = _steps(stepping, recorder, step, observer, is_on_record)
     finally:
         if not is_alone():
             stepping.destroy()
+    if not isinstance(failure, (Interrupted, MeshNeeded)):
+        recorder.last(step)  # fields of the rock take memory, which solvers have given back by now
+        if failure is not None:
+            recorder.save(step)
+    return step, failure
 
 
 @timed("FracSetUp", "Set up")
@@ -388,9 +393,4 @@ def _steps(
                 failure = of_stage(stage, error, scene)
             recorder.log(f"stopped: {failure}")
     recorder.totals.spend(stepping.work)
-    if not isinstance(failure, Interrupted):
-        step = replace(step, state=state)
-        recorder.last(step)
-        if failure is not None:
-            recorder.save(step)
-    return step, failure
+    return (step if isinstance(failure, Interrupted) else replace(step, state=state)), failure

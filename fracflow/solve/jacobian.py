@@ -73,13 +73,13 @@ class JoinedMatrix:
         parts["jump"] = self._entries(jump, "solid", "solid")[0]
         jump.destroy()
         if ops.flow is not None:
-            squeeze, pattern = ops.flow.storage_coupling.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
+            squeeze = ops.flow.storage_coupling.transpose(PETSc.Mat())
             network, load = self._network_pattern(), ops.flow.pressure_load
             parts["pressure_load"], self._couplings["pressure_load"] = self._entries(load, "solid", "flow")
             parts["storage_coupling"], self._couplings["storage_coupling"] = self._entries(squeeze, "flow", "solid")
-            parts["feedback"] = self._entries(pattern, "flow", "solid")[0]
+            parts["feedback"] = self._entries(ops.flow.feedback, "flow", "solid")[0]
             parts["network"] = self._entries(network, "flow", "flow")[0]
-            destroy(squeeze, pattern, network)
+            destroy(squeeze, network)
         self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
         closing = [self._closure(closure) for closure in loads.closures]
         for number, (row, cols, _) in enumerate(closing):

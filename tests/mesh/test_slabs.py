@@ -20,14 +20,15 @@ KINDS = {
 }
 
 
-@pytest.fixture
-def arrays(comm):
+@pytest.fixture(params=["mixed", "ascending"])
+def arrays(comm, request):
     """The same on all ranks: whole arrays and, of rows dealt out at random, the order; the last has no rank."""
     dice = np.random.default_rng(3)
     whole = {name: (1e3 * dice.random(shape)).astype(kind) for name, (shape, kind) in KINDS.items()}
     for values in whole.values():
         values[-1] = 0
     mine = dice.permutation(TOTAL - 1)[comm.rank :: comm.size]
+    mine = np.sort(mine) if request.param == "ascending" else mine
     return whole, Order(comm, mine, TOTAL), mine
 
 
