@@ -68,15 +68,12 @@ def _there_and_back(model: Model) -> float:
 
 def _s_speed(rock: Rock) -> float:
     """c_s [length/time]."""
-    return math.sqrt(
-        (rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)) * (rock.density or math.inf))
-    )
+    return math.sqrt(rock.shear_modulus / (rock.density or math.inf))
 
 
 def _p_speed(rock: Rock) -> float:
     """c_p [length/time]."""
-    young, nu, density = rock.youngs_modulus or 0.0, rock.poissons_ratio or 0.0, rock.density or math.inf
-    return math.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
+    return math.sqrt(rock.p_wave_modulus / (rock.density or math.inf))
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,6 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-def lame(youngs_modulus: Any, poissons_ratio: Any) -> tuple[Any, Any]:
-    """Lame's lambda and mu of plane strain [stress]."""
-    shear = youngs_modulus / (2.0 * (1.0 + poissons_ratio))
-    return 2.0 * shear * poissons_ratio / (1.0 - 2.0 * poissons_ratio), shear
-
-
 def impedance_blocks(size: Floats, normal: Floats, of_p: Floats, of_s: Floats) -> Floats:
     """Resistance of each node of facets to its velocity, (n, k, dim, dim): A (rho c_p n n' + rho c_s (1 - n n')).
 
@@ -109,8 +103,12 @@ def energy_over_directions(poissons_ratio: float, kind: str) -> float:
 
 def _speeds(poissons_ratio: float) -> tuple[float, float]:
     """c_p and c_s where mu = rho = 1."""
-    lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)
-    return float(np.sqrt(lam + 2.0 * shear)), float(np.sqrt(shear))
+    return float(np.sqrt(_lame_over_shear(poissons_ratio) + 2.0)), 1.0
+
+
+def _lame_over_shear(poissons_ratio: float) -> float:
+    """lambda/mu = 2 nu/(1 - 2 nu)."""
+    return 2.0 * poissons_ratio / (1.0 - 2.0 * poissons_ratio)
 
 
 def _critical(poissons_ratio: float, kind: str) -> float:
@@ -121,7 +119,7 @@ def _critical(poissons_ratio: float, kind: str) -> float:
 
 def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: float) -> tuple[Floats, Floats]:
     """Amplitudes (2,) of the P and S wave, and the cosines of their angles to the normal, 0 of one that fades."""
-    lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)  # mu = 1, rho = 1
+    lam, shear = _lame_over_shear(poissons_ratio), 1.0
     fast, slow = _speeds(poissons_ratio)
     speed = fast if kind == "p" else slow
     slowness = np.sin(np.radians(degrees)) / speed

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StrictBool, create_model, model_validator
 
-from fracflow.laws import JOINT_LAWS
+from fracflow.laws import JOINT_LAWS, elastic
 from fracflow.scene import units
 from fracflow.scene.laws import (
     Property,
@@ -51,6 +51,28 @@ class Rock(Table):
             if getattr(self, key) is None:
                 raise fault("missing; a rock needs it unless rigid = true", key=key)
         return self
+
+    @property
+    def shear_modulus(self) -> float:
+        """G of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.shear_modulus(*self._constants())
+
+    @property
+    def p_wave_modulus(self) -> float:
+        """P-wave modulus of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.p_wave_modulus(*self._constants())
+
+    @property
+    def plane_strain_modulus(self) -> float:
+        """E' of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.plane_strain_modulus(*self._constants())
+
+    def _constants(self) -> tuple[float, float]:
+        """E and nu; a rigid rock is infinitely stiff, and does not widen."""
+        if self.rigid:
+            return math.inf, 0.0
+        assert self.youngs_modulus is not None and self.poissons_ratio is not None
+        return self.youngs_modulus, self.poissons_ratio
 
 
 class StressGradient(Table):
