@@ -33,8 +33,7 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     """Two maps: slip tendency, and the rise of pressure to slip, of pieces (m,); NaN and inf where there is none.
 
     title, below  the head, and a smaller line under it
-    creeps        friction of rate and state is among them, which slips at any shear: none of it tends to slip, and the rise
-                  is to steady slip at the reference rate
+    creeps        some slip by rate and state, at any shear; their rise is to steady slip at the reference rate
     """
     from matplotlib.figure import Figure
 
