@@ -13,7 +13,8 @@ from website.pages import Page
 ROOT = Path(__file__).parents[1]
 FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
 PAGES = [*sorted(ROOT.glob("*.md")), *(page for name in FOLDERS for page in sorted((ROOT / name).rglob("*.md")))]
-TUTORIALS = [page for page in sorted((ROOT / "meshes").glob("*/README.md")) if page.parent.name != "failures"]
+NO_TUTORIALS = {"failures", "injected_fault", "ten_faults"}  # their scenes take too long to be run with their page
+TUTORIALS = [page for page in sorted((ROOT / "meshes").glob("*/README.md")) if page.parent.name not in NO_TUTORIALS]
 """Pages whose blocks are run one after another, and whose shown output is compared: see test_tutorials.py."""
 
 SCENES = sorted(path for path in (ROOT / "meshes").rglob("*.toml") if not any(path.parent.glob("*.py")))

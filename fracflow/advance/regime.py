@@ -11,12 +11,10 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.advance.slow_slip import deforming
 from fracflow.advance.substeps import SubstepCursor
-from fracflow.elements.dashpot import p_speed
 from fracflow.errors import SolveError
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
-from fracflow.scene.materials import Rock
 from fracflow.solve.period import longest_period
 
 PARTS = 50  # of the longest period, at least, in steps with inertia
@@ -55,7 +53,7 @@ def transit(model: Model) -> float:
     lengths = joints.weights.reshape(-1, joints.points).sum(axis=1)
     sums = np.array([lengths @ lengths, lengths.sum()])
     model.operators.layout.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
-    speed = max((_p_speed(rock) for rock in deforming(model)), default=0.0)
+    speed = max((rock.p_speed for rock in deforming(model)), default=0.0)
     return float(sums[0] / sums[1]) / speed if sums[1] > 0.0 and speed > 0.0 else math.inf
 
 
@@ -63,21 +61,8 @@ def _there_and_back(model: Model) -> float:
     """Time of an S wave over twice the extent of all fractures, of rock that is not meshed [time]."""
     block = model.operators.blocks.solid
     low, high = block.piece_box[:, 0].min(axis=0), block.piece_box[:, 1].max(axis=0)
-    speed = max((_s_speed(rock) for rock in deforming(model)), default=0.0)
+    speed = max((rock.s_speed for rock in deforming(model)), default=0.0)
     return 2.0 * float((high - low).max()) / speed if speed > 0.0 else math.inf
-
-
-def _s_speed(rock: Rock) -> float:
-    """c_s [length/time]."""
-    return math.sqrt(
-        (rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)) * (rock.density or math.inf))
-    )
-
-
-def _p_speed(rock: Rock) -> float:
-    """c_p [length/time]."""
-    young, nu, density = rock.youngs_modulus or 0.0, rock.poissons_ratio or 0.0, rock.density or math.inf
-    return p_speed(young, nu, density)
 
 
 @dataclass(frozen=True)

@@ -145,9 +145,7 @@ def may_rest(model: Model, state: State) -> bool:
 
 def _impedance(model: Model) -> float:
     """Largest rho c_s/2 of the rocks that deform [stress time/length]."""
-    rocks = deforming(model)
-    moduli = [(rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0))) for rock in rocks]
-    products = (modulus * (rock.density or 0.0) for modulus, rock in zip(moduli, rocks, strict=True))
+    products = (rock.shear_modulus * (rock.density or 0.0) for rock in deforming(model))
     return max((0.5 * math.sqrt(product) for product in products), default=0.0)
 
 

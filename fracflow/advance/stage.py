@@ -13,7 +13,7 @@ from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
 from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, creeps
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
+from fracflow.advance.substeps import InSmallStrains, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.errors import InputError
 from fracflow.integrators import Stepper
 from fracflow.model.setup import Model
@@ -127,6 +127,7 @@ def composed(
     step = ErrorControlled(step, estimator, stepping.explicit) if estimator.order else step
     step = BySlipRate(step, model) if by_rate else step
     step = SplitAtJumps(step, stepping, stepper, stepper.inertia or estimator.finest > 0) if given.ends else step
+    step = InSmallStrains(step, model.scene) if fills(model, stepper) else step
     return Substepped(step, rules, log, place, given)
 
 

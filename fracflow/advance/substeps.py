@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, SolveError, Unsolved
+from fracflow.model.small_strains import beyond_small_strains
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked, note
 from fracflow.scene.scene import Scene
@@ -24,6 +25,7 @@ GROWTH = 2.0  # of prompt parts, each over the last
 GRADES = 8  # lengths of prompt parts in an octave, which do not follow round-off: all numbers of ranks take the same
 GRAIN = 2.0**-40  # of a step: sums of such lengths are exact
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
+MOST_UNSOLVED = 10  # trials of a stage without a linear solution, where the rock is strained beyond the model
 DEEPEST = 6  # halvings at once
 USUAL, FILLING = 6, 12  # halvings where the scene gives none
 HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
@@ -130,7 +132,8 @@ class Substepped:
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next substep of a requested step, from the place on.
 
-        Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+        Raises NotConverged, on every rank, with the last part's reason; SolveError where no shorter part mends it. A part that
+        fails leaves no trace. Collective.
         """
         rules, place, step = self.rules, self.place, request.step
         assert step is not None
@@ -159,6 +162,9 @@ class Substepped:
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
                 before = f"; before that: {other}" if other else ""
                 raise NotConverged(f"{error}{tried}{before}", spent.wasted, spent.rejected, error.kind) from error
+            except SolveError as error:  # that no shorter part mends
+                wasted, rejected = spent.wasted + error.newton, spent.rejected + error.trials
+                raise SolveError(str(error), wasted, rejected) from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
                 spent = spent.with_rejected(found.report.newton)
@@ -181,6 +187,31 @@ class Substepped:
         end = step.first(step.ends, begin, end) or end
         inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
         return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
+
+
+@dataclass
+class InSmallStrains:
+    """Ends a stage of which ``left`` trials had no linear solution, while pressures strained the rock beyond the model.
+
+    Gaps and stiffnesses then span more digits than a double has. Later steps would fail likewise, half after half, towards
+    results that are said to be meaningless.
+    """
+
+    inner: Advance
+    scene: Scene
+    left: int = MOST_UNSOLVED
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same. Raises SolveError, on every rank. Collective."""
+        try:
+            return self.inner.advance(state, request)
+        except Unsolved as error:
+            why = beyond_small_strains(self.scene, state.max_overpressure)
+            self.left -= bool(why)
+            if self.left > 0:
+                raise
+            failed = f"{str(error).partition('; ')[0]}, as {MOST_UNSOLVED - 1} times before"
+            raise SolveError(f"{failed}: {why}", error.newton, error.trials + 1) from error
 
 
 def _halvings(refused: Sequence[tuple[float, float]], rules: Rules) -> float:

@@ -123,7 +123,8 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         found["explicit steps"] = explicit.line
         part = explicit.seconds + OWN
         seconds += explicit.parts * part
-        parts.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
+        many = f"{explicit.parts}" if explicit.parts else "events, in"
+        parts.append(f"{many} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
         each, made = lasted * (1.0 + BESIDES) + OWN, f"a factorisation, and one took {lasted:.2g} s here"

@@ -8,6 +8,7 @@ import numpy as np
 
 from fracflow.diagnostics.criticality import criticality
 from fracflow.errors import DiskError, InputError
+from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.unmeshed import map_cells
 from fracflow.model.setup import place
@@ -44,6 +45,7 @@ def picture_of_scene(scene: Scene, output: Path | None) -> list[str]:
                 below,
                 _of_pieces(near.tendency),
                 _of_pieces(near.rise),
+                any(JOINT_LAWS[scene.fracture_named(name).law].creeps for name in mesh.fractures),
             )
             save(figure, path)
     except OSError as error:

@@ -19,7 +19,8 @@ SHEAR_ROUND_OFF = 1e-14  # of the normal traction: less shear is none
 class Criticality:
     """Joint ends (j, 2) under the initial stress and pressure; NaN where the fracture's law has no friction.
 
-    Friction of rate and state counts by its coefficient at the reference slip rate: below it walls creep far more slowly.
+    Friction of rate and state counts by its coefficient at the reference slip rate: below it walls creep far more slowly. Its
+    tendency is no nearness to slip, since it slips at any shear.
 
     tendency  |tau|/sigma_n', shear over effective normal traction [1]; inf where nothing presses the walls together
     rise      of the pressure, with the rock at rest, at which they slip or part [stress]: 0 past that, inf for never

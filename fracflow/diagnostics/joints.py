@@ -9,6 +9,7 @@ import numpy as np
 
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
+from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus, shear_modulus
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components, distances
 from fracflow.model.properties import initial_pressure, initial_stress
@@ -192,10 +193,10 @@ def rock_values(scene: Scene, rocks: Sequence[str]) -> dict[str, Floats]:
     young = np.array([np.inf if r.rigid or r.youngs_modulus is None else r.youngs_modulus for r in tables])
     nu = np.array([0.0 if r.rigid or r.poissons_ratio is None else r.poissons_ratio for r in tables])
     density = np.array([np.nan if r.density is None else r.density for r in tables])
-    wave = np.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
-    shear = young / (2.0 * (1.0 + nu))
+    wave = np.sqrt(p_wave_modulus(young, nu) / density)
+    shear = shear_modulus(young, nu)
     return {
-        "modulus": young / (1.0 - nu**2),
+        "modulus": plane_strain_modulus(young, nu),
         "shear_modulus": shear / (1.0 - nu),
         "shear": shear,
         "shear_speed": np.sqrt(shear / density),

@@ -11,12 +11,6 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-def lame(youngs_modulus: Any, poissons_ratio: Any) -> tuple[Any, Any]:
-    """Lame's lambda and mu of plane strain [stress]."""
-    shear = youngs_modulus / (2.0 * (1.0 + poissons_ratio))
-    return 2.0 * shear * poissons_ratio / (1.0 - 2.0 * poissons_ratio), shear
-
-
 def impedance_blocks(size: Floats, normal: Floats, of_p: Floats, of_s: Floats) -> Floats:
     """Resistance of each node of facets to its velocity, (n, k, dim, dim): A (rho c_p n n' + rho c_s (1 - n n')).
 
@@ -39,12 +33,6 @@ def wave_traction(normal: Floats, direction: Any, motion: Any, lam: Any, shear: 
     across, turned = normal @ direction, normal @ motion
     both = motion * across[..., None] + direction * turned[..., None]
     return -(lam * (motion @ direction) * normal + shear * both) / speed
-
-
-def p_speed(youngs_modulus: float, poissons_ratio: float, density: float) -> float:
-    """c_p of plane strain [length/time]."""
-    modulus = youngs_modulus * (1.0 - poissons_ratio) / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
-    return float(np.sqrt(modulus / density))
 
 
 def silent_distance(fast: float, time: float) -> float:
@@ -131,8 +119,12 @@ def energy_over_directions(poissons_ratio: float, kind: str, share: Shares = 1.0
 
 def _speeds(poissons_ratio: float) -> tuple[float, float]:
     """c_p and c_s where mu = rho = 1."""
-    lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)
-    return float(np.sqrt(lam + 2.0 * shear)), float(np.sqrt(shear))
+    return float(np.sqrt(_lame_over_shear(poissons_ratio) + 2.0)), 1.0
+
+
+def _lame_over_shear(poissons_ratio: float) -> float:
+    """lambda/mu = 2 nu/(1 - 2 nu)."""
+    return 2.0 * poissons_ratio / (1.0 - 2.0 * poissons_ratio)
 
 
 def _critical(poissons_ratio: float, kind: str) -> float:
@@ -143,7 +135,7 @@ def _critical(poissons_ratio: float, kind: str) -> float:
 
 def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: Shares) -> tuple[Floats, Floats]:
     """Amplitudes (2,) of the P and S wave, and the cosines of their angles to the normal, 0 of one that fades."""
-    lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)  # mu = 1, rho = 1
+    lam, shear = _lame_over_shear(poissons_ratio), 1.0
     fast, slow = _speeds(poissons_ratio)
     speed = fast if kind == "p" else slow
     slowness = np.sin(np.radians(degrees)) / speed

@@ -2,9 +2,33 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
 from fracflow.laws.base import Floats, Parameter
+
+Moduli = TypeVar("Moduli", float, Floats)
+
+
+def shear_modulus(youngs_modulus: Moduli, poissons_ratio: Moduli) -> Moduli:
+    """(2.13) G = E/(2 (1 + nu)) of a rock, or of each (n,) [stress]; infinite where E is."""
+    return youngs_modulus / (2.0 * (1.0 + poissons_ratio))
+
+
+def lame_modulus(youngs_modulus: Moduli, poissons_ratio: Moduli) -> Moduli:
+    """(2.13) Lame's lambda = E nu/((1 + nu) (1 - 2 nu)), of a rock or of each (n,), nu below 1/2 [stress]."""
+    return youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
+
+
+def p_wave_modulus(youngs_modulus: Moduli, poissons_ratio: Moduli) -> Moduli:
+    """(2.13) lambda + 2 G = rho c_p^2, of a rock or of each (n,): of strain along one axis alone [stress]."""
+    return youngs_modulus * (1.0 - poissons_ratio) / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
+
+
+def plane_strain_modulus(youngs_modulus: Moduli, poissons_ratio: Moduli) -> Moduli:
+    """(2.13) E' = E/(1 - nu^2), of a rock or of each (n,): stress over strain along a free sheet that keeps zz [stress]."""
+    return youngs_modulus / (1.0 - poissons_ratio**2)
 
 
 def plane_strain_stiffness(youngs_modulus: Parameter, poissons_ratio: Parameter) -> Floats:
@@ -34,7 +58,7 @@ def _moduli(youngs_modulus: Parameter, poissons_ratio: Parameter) -> tuple[Float
     """Lame's lambda and mu (n,) [stress]."""
     given = (np.atleast_1d(np.asarray(each, float)) for each in (youngs_modulus, poissons_ratio))
     modulus, ratio = np.broadcast_arrays(*given)
-    return modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), modulus / (2.0 * (1.0 + ratio))
+    return lame_modulus(modulus, ratio), shear_modulus(modulus, ratio)
 
 
 def _stiffness(lame: Floats, shear: Floats, dim: int) -> Floats:

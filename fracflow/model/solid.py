@@ -8,7 +8,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
-from fracflow.laws.elastic import STIFFNESS
+from fracflow.laws.elastic import STIFFNESS, shear_modulus
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix, create_vector
@@ -225,7 +225,7 @@ def impedance_beside(blocks: Blocks, scene: Scene) -> Floats:
     joints, nodes = blocks.joints, blocks.solid.cells
     names = ("youngs_modulus", "poissons_ratio", "density")
     modulus, ratio, density = (rock_values(blocks, scene, name) for name in names)
-    impedance = np.sqrt(density * modulus / (2.0 * (1.0 + ratio)))
+    impedance = np.sqrt(density * shear_modulus(modulus, ratio))
     corner = (nodes >= 0) & np.isin(np.arange(len(nodes)), deformable(blocks, scene))[:, None]
     each = np.broadcast_to(impedance[:, None], nodes.shape)[corner]
     total, count = summed_at_nodes(blocks, nodes[corner], np.column_stack([each, np.ones(len(each))])).T

@@ -56,8 +56,7 @@ def is_around(blocks: Blocks) -> Bools:
 def of_energy(scene: Scene) -> float:
     """-E'/(4 pi) of the rock [stress]."""
     (rock,) = scene.rock.values()
-    assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
-    return -rock.youngs_modulus / (1.0 - rock.poissons_ratio**2) / (4.0 * float(np.pi))
+    return -rock.plane_strain_modulus / (4.0 * float(np.pi))
 
 
 def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:

@@ -156,7 +156,7 @@ def fault_ends(scene: Scene, mesh: SplitMesh, place: Ints) -> FaultEnds:
     """The joint ends (joints * 2,) of a mesh; ``place`` is the row of each in the table of fracture nodes."""
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
     parts = mesh.joint_bottom != mesh.joint_top
-    modulus = np.array([_shear_modulus(scene, name) for name in mesh.rocks])[mesh.cell_rock[mesh.joint_cells]]
+    modulus = np.array([scene.rock[name].shear_modulus for name in mesh.rocks])[mesh.cell_rock[mesh.joint_cells]]
     with np.errstate(divide="ignore"):  # between two rigid walls it is infinite
         both: Floats = 2.0 / (1.0 / modulus).sum(axis=1) if len(modulus) else np.zeros(0)
     return FaultEnds(
@@ -166,13 +166,6 @@ def fault_ends(scene: Scene, mesh: SplitMesh, place: Ints) -> FaultEnds:
         scene.output.event_length,
         None if scene.units == "none" else scene.unit_system.to_si("force*length"),
     )
-
-
-def _shear_modulus(scene: Scene, name: str) -> float:
-    rock = scene.rock[name]
-    if rock.rigid or rock.youngs_modulus is None:
-        return np.inf
-    return rock.youngs_modulus / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)))
 
 
 def instant(state: State, snapshot: Snapshot, began: float) -> Instant:

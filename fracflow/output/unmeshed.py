@@ -32,8 +32,8 @@ def with_far(scene: Scene, far: Floats, points: Floats, moved: Floats) -> Floats
     if not far.any():
         return moved
     (rock,) = scene.rock.values()
-    assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
-    xx, yy, xy = far / (rock.youngs_modulus / (1.0 + rock.poissons_ratio))
+    assert rock.poissons_ratio is not None
+    xx, yy, xy = far / (2.0 * rock.shear_modulus)
     mean = rock.poissons_ratio * (xx + yy)
     return np.asarray(moved + points @ np.array([[xx - mean, xy], [xy, yy - mean]]))
 
@@ -96,8 +96,10 @@ class UnmeshedRock:
 
     @cached_property
     def _stress_change(self) -> Floats:
-        young, nu = self._moduli
-        xx, yy, xy = (dislocation.stresses(self.points, self._ends, self._jumps(0), young / (1.0 - nu**2)) + self.far).T
+        _, nu = self._moduli
+        (rock,) = self.scene.rock.values()
+        change = dislocation.stresses(self.points, self._ends, self._jumps(0), rock.plane_strain_modulus)
+        xx, yy, xy = (change + self.far).T
         return np.stack([xx, yy, nu * (xx + yy), xy], axis=1)
 
     @property

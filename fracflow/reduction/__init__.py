@@ -32,11 +32,6 @@ from fracflow.scene.units import LENGTH
 __all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations"]
 
 
-def _p_speed(rock: Rock) -> float:
-    """c_p [length/time]; 0 of rigid rock, in which no wave travels."""
-    return dashpot.p_speed(rock.youngs_modulus or 0.0, rock.poissons_ratio or 0.0, rock.density or np.inf)
-
-
 def fields(facts: ReductionInput) -> Iterator[Decision]:
     """Stresses and energy densities of the rock, and files of whole fields."""
     every = facts.scene.output.fields_every
@@ -51,7 +46,7 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
     sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     ratios = {rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None}
     lasts = sum(end - start for _, stage, start, end in spans(scene) if stage.kind == "dynamic")
-    fast = max((_p_speed(rock) for rock in scene.rock.values()), default=0.0)
+    fast = max((rock.p_speed for rock in scene.rock.values()), default=0.0)
     far = f"{dashpot.silent_distance(fast, lasts):.3g}{scene.unit_system.behind(LENGTH)}"
     remedy = f"move it {far} away, from where nothing is back before the end," if lasts else "move it away,"
     for ratio in sorted(ratios) if sides and scene.has_dynamics else ():

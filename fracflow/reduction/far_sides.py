@@ -227,10 +227,9 @@ def error_of_sides(model: Model, state: State) -> float:
     if motion is not None and work > ops.scales.energy_noise(int(ops.layout.solid_starts[-1])):
         assert model.mesh is not None and model.bounded is not None
         mesh, (rock,) = model.mesh, model.scene.rock.values()
-        assert rock.youngs_modulus is not None and rock.poissons_ratio is not None
         ends, jumps = mesh.points[mesh.joint_bottom], motion[mesh.joint_top] - motion[mesh.joint_bottom]
-        modulus = rock.youngs_modulus / (1.0 - rock.poissons_ratio**2)
-        xx, yy, xy = dislocation.stresses(_along_sides(model.bounded), ends, jumps, modulus).T
+        along = _along_sides(model.bounded)
+        xx, yy, xy = dislocation.stresses(along, ends, jumps, rock.plane_strain_modulus).T
         most = float((np.abs(0.5 * (xx + yy)) + np.hypot(0.5 * (xx - yy), xy)).max())
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         found = ANSWER * most * float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1)) / work

@@ -12,7 +12,7 @@ from fracflow.elements import facet, joint, solid
 from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.base import HELD
-from fracflow.laws.elastic import plane_strain_stiffness
+from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.split import groups, merged_faces
@@ -116,7 +116,6 @@ def _of_mesh(model: Model) -> Fractures | None:
     elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in used) if not rock.rigid]
     keys = ("youngs_modulus", "poissons_ratio", "density")
     young, poisson, density = (np.array([getattr(rock, key) or 0.0 for rock in elastic]) for key in keys)
-    waves = plane_strain_stiffness(young, poisson)[..., 0, 0] if elastic else young
     return Fractures(
         names=mesh.fractures, group=group, jumps=joints * model.operators.joints.points * mesh.points.shape[1],
         length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
@@ -125,8 +124,8 @@ def _of_mesh(model: Model) -> Fractures | None:
         held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
         area=float(per_cell(uncut.cells, lambda _, corners: solid.area(uncut.points[corners])).sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
-        modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
-        impedance=float(np.sqrt(density * waves).max(initial=0.0)),
+        modulus=float(plane_strain_modulus(young, poisson).max(initial=0.0)),
+        impedance=float(np.sqrt(density * p_wave_modulus(young, poisson)).max(initial=0.0)),
     )  # fmt: skip
 
 

@@ -14,9 +14,12 @@ from fracflow.solve.options import is_swift
 
 
 def condensed_rock(facts: ReductionInput) -> Iterator[Decision]:
-    """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
+    """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves.
+
+    Rock that is not meshed has no others than those of its joints.
+    """
     scene = reduced(facts)
-    if not facts.jumps or not _solves(scene):
+    if not facts.jumps or scene.is_unbounded or not _solves(scene):
         return
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
     chosen = scene.method.coupling == "condensed" or is_chosen(scene, plan, facts.rock)

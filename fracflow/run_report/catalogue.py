@@ -113,12 +113,8 @@ def _moments(run: RunReport, charts: Charts, events: list[dict[str, Any]]) -> st
 
 def _shear_modulus(run: RunReport) -> float | None:
     """The largest of the rocks."""
-    found = [
-        rock.youngs_modulus / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)))
-        for rock in (run.scene.rock.values() if run.scene is not None else ())
-        if not rock.rigid and rock.youngs_modulus is not None
-    ]
-    return max(found, default=None)
+    rocks = run.scene.rock.values() if run.scene is not None else ()
+    return max((rock.shear_modulus for rock in rocks if not rock.rigid), default=None)
 
 
 def _distances(run: RunReport, charts: Charts, events: list[dict[str, Any]]) -> str:

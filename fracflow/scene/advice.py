@@ -318,9 +318,8 @@ def _transit(scene: Scene) -> float | None:
     if geometry is None or size is None:
         return None
     for rock in scene.rock.values():
-        if not rock.rigid and rock.youngs_modulus and rock.density:
-            shear = 0.5 * rock.youngs_modulus / (1.0 + (rock.poissons_ratio or 0.0))
-            slowness = max(slowness, math.sqrt(rock.density / shear))
+        if rock.density:
+            slowness = max(slowness, math.sqrt(rock.density / rock.shear_modulus))
     return size / 2**geometry.refine * slowness
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StrictBool, create_model, model_validator
 
-from fracflow.laws import JOINT_LAWS
+from fracflow.laws import JOINT_LAWS, elastic
 from fracflow.scene import units
 from fracflow.scene.laws import (
     Property,
@@ -51,6 +51,38 @@ class Rock(Table):
             if getattr(self, key) is None:
                 raise fault("missing; a rock needs it unless rigid = true", key=key)
         return self
+
+    @property
+    def shear_modulus(self) -> float:
+        """G of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.shear_modulus(*self._constants())
+
+    @property
+    def p_wave_modulus(self) -> float:
+        """P-wave modulus of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.p_wave_modulus(*self._constants())
+
+    @property
+    def plane_strain_modulus(self) -> float:
+        """E' of (2.13), infinite of a rigid rock [stress]."""
+        return elastic.plane_strain_modulus(*self._constants())
+
+    @property
+    def p_speed(self) -> float:
+        """c_p [length/time]; 0 of rigid rock, and of one without a density, in which no wave travels."""
+        return 0.0 if self.rigid or not self.density else math.sqrt(self.p_wave_modulus / self.density)
+
+    @property
+    def s_speed(self) -> float:
+        """c_s [length/time]; 0 of rigid rock, and of one without a density, in which no wave travels."""
+        return 0.0 if self.rigid or not self.density else math.sqrt(self.shear_modulus / self.density)
+
+    def _constants(self) -> tuple[float, float]:
+        """E and nu; a rigid rock is infinitely stiff, and does not widen."""
+        if self.rigid:
+            return math.inf, 0.0
+        assert self.youngs_modulus is not None and self.poissons_ratio is not None
+        return self.youngs_modulus, self.poissons_ratio
 
 
 class StressGradient(Table):

@@ -15,6 +15,7 @@ from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
+from fracflow.model.small_strains import beyond_small_strains
 from fracflow.model.state import State, StepReport
 from fracflow.output.drawing.axes import shown
 from fracflow.remarks import ACT, marked, note
@@ -32,7 +33,6 @@ stiffness of the walls stops them, at a distant solution; for less there are bot
 WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
 FAR = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
-STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
 
@@ -179,21 +179,10 @@ class Notices:
             totals.spurious, totals.spurious_time = share, time
 
     def _pressure(self, time: float, drive: float) -> None:
-        """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
-        stiff = [rock.youngs_modulus for rock in self._scene.rock.values() if rock.youngs_modulus is not None]
-        if self._totals.strained or not stiff or drive <= STRAINED * min(stiff):
-            return
-        self._totals.strained = 1
-        rates = ", ".join(well.name for well in self._scene.well if well.flow_rate is not None)
-        self._doubt(
-            f"time {time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
-            f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless;"
-            + (
-                f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
-                if rates
-                else " lower the pressures that wells and fractures prescribe"
-            )
-        )
+        """A line, once, where a pressure would strain the rock beyond the model."""
+        if not self._totals.strained and (line := beyond_small_strains(self._scene, drive)):
+            self._totals.strained = 1
+            self._doubt(f"time {time:.6g}: {line}")
 
     def _widening(self, time: float, report: StepReport) -> None:
         """A line where an aperture grew in a step by more than can be predicted, and again where by far more."""

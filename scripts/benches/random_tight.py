@@ -11,7 +11,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from fracflow.output import read_history
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
 
+SLOWEST = 3  # scenes named with their cost
 LEVELS, STEPS = 5, 3  # levels of pressure, and steps at each of them
 START = 0.5e6  # [Pa]
 BALANCED = BOOKS = 1e-10
@@ -33,7 +34,7 @@ MOST_NAMED = 0.01
 
 @dataclass(frozen=True)
 class End:
-    """How a scene ended: "right", "named", or what is wrong; why; steps, Newton iterations, halvings.
+    """How a scene ended: "right", "named", or what is wrong; why; steps, Newton iterations, halvings, CPU s.
 
     closure, lift  the scene's k_n0 d_0 over the load, and its largest pressure over the pressure that lifts the joints
     """
@@ -46,6 +47,7 @@ class End:
     steps: int = 0
     newton: int = 0
     halved: int = 0
+    seconds: float = 0.0
 
 
 def scene(seed: int) -> tuple[dict[str, Any], float, float]:
@@ -151,8 +153,10 @@ def end_of(seed: int, folder: Path) -> End:
 def ends(count: int, first: int = 0) -> Iterator[End]:
     """The ends of ``count`` scenes, one after another; their folders go."""
     for seed in range(first, first + count):
+        began = time.process_time()
         with tempfile.TemporaryDirectory() as name:
-            yield end_of(seed, Path(name))
+            end = end_of(seed, Path(name))
+        yield replace(end, seconds=time.process_time() - began)
 
 
 def main() -> int:
@@ -168,6 +172,11 @@ def main() -> int:
         print(f"{what:20s} {number:4d} of {count}, {100 * number / count:.1f} %")
     newton, halved = sum(end.newton for end in found), sum(end.halved for end in found)
     print(f"{newton} iterations, {halved} halvings, {time.process_time() - began:.0f} CPU s")
+    for end in sorted(found, key=lambda end: -end.seconds)[:SLOWEST]:
+        work = f"{end.steps} steps, {end.newton} iterations, {end.halved} halvings"
+        print(
+            f"slowest: {end.seed} k_n0 d_0 = {end.closure:.1e} load, lift {end.lift:.2f}: {end.seconds:.1f} CPU s, {work}"
+        )
     named = sum(end.what.startswith("named") for end in found)
     wrong = sum(end.what != "right" for end in found) - named
     return int(wrong > 0 or named > MOST_NAMED * count)

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness, plane_stress_stiffness, solid_stiffness
+from fracflow.laws.elastic import (
+    lame_modulus,
+    out_of_plane_stress,
+    p_wave_modulus,
+    plane_strain_modulus,
+    plane_strain_stiffness,
+    plane_stress_stiffness,
+    shear_modulus,
+    solid_stiffness,
+)
 
 pytestmark = pytest.mark.serial
 
@@ -34,3 +43,13 @@ def test_all_are_one_law():
         assert np.allclose(D @ compliance, np.eye(6), atol=1e-14)
         assert np.allclose(in_strain, D[plane])
         assert np.allclose(in_stress @ compliance[plane], np.eye(3), atol=1e-14)
+
+
+def test_moduli_are_those_of_the_stiffness():
+    """Along one axis, across it and in shear; on a sheet that is free across and keeps its thickness."""
+    modulus, ratio = np.array([5e8, 2.0]), np.array([0.25, 0.4])
+    whole = plane_strain_stiffness(modulus, ratio)
+    for law, (row, column) in ((p_wave_modulus, (0, 0)), (lame_modulus, (0, 1)), (shear_modulus, (2, 2))):
+        assert np.allclose(law(modulus, ratio), whole[:, row, column], rtol=1e-14)
+    free = whole[:, 0, 0] - whole[:, 0, 1] ** 2 / whole[:, 1, 1]
+    assert np.allclose(plane_strain_modulus(modulus, ratio), free, rtol=1e-14)

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
+from fracflow.cli import picture
 from fracflow.cli.app import app
 from fracflow.cli.picture import _network
 from fracflow.diagnostics.criticality import criticality
@@ -81,12 +82,20 @@ def test_criticality_is_that_of_mohrs_circle(scene):
     assert of("a $ b", deep.rise, mesh) == pytest.approx(1e6 * (pressed - below - shear / 0.6))
 
 
-def test_rate_and_state_counts_by_its_reference_coefficient(scene):
+def test_rate_and_state_counts_by_its_reference_coefficient(scene, monkeypatch):
     law = "{law='rate-and-state', direct_effect=0.01, evolution_effect=0.014, characteristic_slip=1e-3,"
     given = load(scene, [f'fracture."a $ b"={law} reference_slip_rate=1e-6, initial_slip_rate=1e-12}}'])
     mesh = read_split(given)
     same, found = criticality(load(scene), mesh), criticality(given, mesh)
     assert of("a $ b", found.rise, mesh) == pytest.approx(of("a $ b", same.rise, mesh))
+    drawn = []
+    monkeypatch.setattr(picture, "save", lambda figure, _: drawn.append([a.get_title("left") for a in figure.axes[:2]]))
+    for each in (load(scene), given):
+        picture.picture_of_scene(each, scene.with_suffix(".png"))
+    for (left, right), (shear, slip) in zip(
+        drawn, (("Slip tendency", "to slip"), ("Shear over", "at V₀")), strict=True
+    ):
+        assert left.startswith(shear) and right.endswith(slip)
 
 
 def test_a_fault_past_its_strength_has_no_rise_left(scene):

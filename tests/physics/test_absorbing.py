@@ -8,7 +8,6 @@ from figures_verification.cases import r03
 from fracflow.elements.dashpot import (
     energy_over_directions,
     energy_returned,
-    p_speed,
     reflection,
     reflections,
     returned,
@@ -265,9 +264,9 @@ def test_less_along_a_side_sends_back_less_in_all_but_something_along_the_normal
 @pytest.mark.serial
 def test_the_plan_tells_how_far_sides_must_be_for_nothing_to_come_back():
     """c_p t/2 of all stages with inertia: 20 steps of 10 us, twice."""
-    assert p_speed(4.0, 0.0, 1.0) == 2.0 and silent_distance(2.0, 3.0) == 3.0
+    assert Rock(youngs_modulus=4.0, poissons_ratio=0.0, density=1.0).p_speed == 2.0 and silent_distance(2.0, 3.0) == 3.0
     scene = Scene.from_data(tomllib.loads(STRESSED + STILL + STILL))
     (rock,) = scene.rock.values()
-    fast = p_speed(rock.youngs_modulus, rock.poissons_ratio, rock.density)
+    fast = rock.p_speed
     (found,) = (each for each in decide(ReductionInput(scene)) if each.part == "rock beyond absorbing sides")
     assert f"move it {silent_distance(fast, 4e-4):.3g} m away, from where nothing is back" in found.error

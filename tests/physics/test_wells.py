@@ -82,4 +82,4 @@ def test_a_rate_that_takes_more_pressure_than_rock_is_stiff_is_told(shared_tmp, 
     MPI.COMM_WORLD.barrier()
     run(load(file, [f"fracture.default.aperture={aperture}", "stage.0.time_step=1e-6"]), folder)
     told = MPI.COMM_WORLD.bcast((folder / "log.txt").read_text() if MPI.COMM_WORLD.rank == 0 else "")
-    assert told.count("later results are meaningless; give a maximum_pressure to in") == int(is_told)
+    assert told.count("later results are meaningless; give a maximum_pressure to well.in") == int(is_told)

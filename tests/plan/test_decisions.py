@@ -77,3 +77,23 @@ def test_explicit_steps_are_told_without_factorisations(tmp_path, step, cut):
     (told,) = [value for key, value in sizes.items() if key.startswith("time of the steps")]
     assert f"{50 if cut else 10} explicit parts" in told and "factorisation" not in told
     assert "steps from which a condensed rock pays" not in sizes
+
+
+def test_explicit_steps_of_events_alone_have_no_count(tmp_path):
+    text = (
+        f"{DRY}{EXPLICIT}".replace("DT", "5 ms").replace('"dynamic"', '"auto"').replace("steps = 10", 'end = "50 ms"')
+    )
+    (tmp_path / "scene.toml").write_text(text)
+    told = CliRunner().invoke(app, ["check", str(tmp_path / "scene.toml")]).output
+    assert "events, in explicit parts of about" in told and "0 explicit parts" not in told
+
+
+def test_rock_without_cells_is_not_condensed():
+    """It has the unknowns of its joints alone: the plan says nothing of a choice that it has not."""
+    domain = "domain = [[0, 0], [100, 0], [100, 100], [0, 100]]\nsize = 25"
+    held = '[[support]]\non = ["east", "west", "north", "south"]\n'
+    unmeshed = INJECTION.replace(domain, 'domain = "unbounded"\nsize_at_fractures = 25').replace(held, "")
+    assert [
+        "rock, condensed to its joints" in decisions(text, unknowns=1000, pressures=10, jumps=12)
+        for text in (INJECTION, unmeshed)
+    ] == [True, False]

@@ -5,9 +5,10 @@ from typing import ClassVar
 import pytest
 
 from fracflow.advance.outcome import Outcome
-from fracflow.advance.substeps import Rules, SubstepCursor, Substepped
-from fracflow.errors import NotConverged
+from fracflow.advance.substeps import MOST_UNSOLVED, InSmallStrains, Rules, SubstepCursor, Substepped
+from fracflow.errors import NotConverged, SolveError, Unsolved
 from fracflow.model.state import StepReport
+from fracflow.scene.materials import Rock
 from fracflow.solve.request import LoadStep
 
 pytestmark = pytest.mark.serial
@@ -81,6 +82,26 @@ def test_a_step_that_is_given_up_tells_what_was_spent_on_it():
     with pytest.raises(NotConverged) as caught:
         taken(reaching(0.001), Rules(2))
     assert (caught.value.trials, caught.value.newton) == (3, 9)
+
+
+@pytest.mark.parametrize(
+    ("failure", "over", "ends"), [(Unsolved, 1.1, True), (Unsolved, 0.9, False), (NotConverged, 1.1, False)]
+)
+def test_a_stage_that_no_solver_solves_beyond_small_strains_ends(failure, over, ends):
+    """Pressures above a tenth of E: that later results are meaningless is told before; now halves do not go on."""
+
+    def attempt(state, begin, end, may_stop):
+        raise failure("no digits; more words", 3)
+
+    state, scene = Fake(0.0), Fake(0.0)
+    scene.rock, scene.well = {"rock": Rock(youngs_modulus=1e9, poissons_ratio=0.25)}, []
+    steps = Substepped(InSmallStrains(Inner(attempt), scene), Rules(MOST_UNSOLVED + 1), lambda line: None)
+    state.max_overpressure = over * 0.1 * 1e9
+    with pytest.raises(SolveError) as caught:
+        steps.advance(state, LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None).part({}, 0.0, 1.0))
+    tried = MOST_UNSOLVED + 2 * (not ends)
+    assert (caught.value.trials, caught.value.newton) == (tried, 3 * tried)
+    assert ("strains rock of E = 1e+09 by over 0.1" in str(caught.value)) == ends
 
 
 def test_parts_that_fail_do_not_shrink_for_ever():

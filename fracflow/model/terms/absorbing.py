@@ -10,6 +10,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.elements import dashpot, facet
 from fracflow.errors import InputError
+from fracflow.laws.elastic import lame_modulus, shear_modulus
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
@@ -64,7 +65,7 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     keys = ("youngs_modulus", "poissons_ratio", "density")
     modulus, ratio, density = (rock_values(blocks, scene, key)[cells] for key in keys)
     size, normal = facet.nodal_sizes(corners), outward(blocks, facets)
-    return Facets(nodes, size, normal, *dashpot.lame(modulus, ratio), density)
+    return Facets(nodes, size, normal, lame_modulus(modulus, ratio), shear_modulus(modulus, ratio), density)
 
 
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:

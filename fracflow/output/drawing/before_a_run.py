@@ -29,10 +29,11 @@ _WIDTH = 3.0  # of a fracture [points]
 _SAME = 1e-9  # of the largest value: all fractures alike
 
 
-def before_a_run(network: Network, title: str, below: str, tendency: Floats, rise: Floats) -> Figure:
+def before_a_run(network: Network, title: str, below: str, tendency: Floats, rise: Floats, creeps: bool) -> Figure:
     """Two maps: slip tendency, and the rise of pressure to slip, of pieces (m,); NaN and inf where there is none.
 
     title, below  the head, and a smaller line under it
+    creeps        some slip by rate and state, at any shear; their rise is to steady slip at the reference rate
     """
     from matplotlib.figure import Figure
 
@@ -42,10 +43,16 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     draw_head(figure, title, below)
     left, right = figure.subplots(2, 1) if is_flat else figure.subplots(1, 2)
     share = "|τ|/σₙ′, shear over effective normal traction"
-    more = "pressure above the initial one at which it slips or opens"
+    shear = "Shear over normal traction" if creeps else "Slip tendency"
+    slip = "steady slip at V₀" if creeps else "slip"
+    more = (
+        "pressure above the initial one: steady slip at the reference rate V₀ (other friction: slip), or opening"
+        if creeps
+        else "pressure above the initial one at which it slips or opens"
+    )
     drawn = [
-        (left, _draw(left, network, "Slip tendency before the run", tendency, PLAIN, share, "viridis_r")),
-        (right, _draw(right, network, "Pressure rise to slip", rise, STRESS, more, "viridis")),
+        (left, _draw(left, network, f"{shear} before the run", tendency, PLAIN, share, "viridis_r")),
+        (right, _draw(right, network, f"Pressure rise to {slip}", rise, STRESS, more, "viridis")),
     ]
     bars = len(figure.axes) - len(drawn)
     beside = np.clip(4.9 * shape + 1.6 + 0.7 * bool(bars), 4.2, 8.0)

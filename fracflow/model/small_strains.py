@@ -1,0 +1,24 @@
+"""Pressures that strain the rock beyond the model, whose strains are small: a rate through next to nothing comes to them."""
+
+from __future__ import annotations
+
+from fracflow.scene.scene import Scene
+
+STRAINED = 0.1  # p/E: a tenth is no small strain
+
+
+def beyond_small_strains(scene: Scene, pressure: float) -> str:
+    """Words on a pressure above that at rest [stress] that strains rock by over ``STRAINED``, and a remedy; else none."""
+    stiff = [rock.youngs_modulus for rock in scene.rock.values() if rock.youngs_modulus is not None]
+    if not stiff or pressure <= STRAINED * min(stiff):
+        return ""
+    rates = ", ".join(f"well.{well.name}" for well in scene.well if well.flow_rate is not None)
+    remedy = (
+        f"give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
+        if rates
+        else "lower the pressures that wells and fractures prescribe"
+    )
+    return (
+        f"a pressure of {pressure:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
+        f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless; {remedy}"
+    )
