@@ -171,7 +171,7 @@ class JoinedMatrix:
             self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
 
     def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
-        """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of these entries. Collective.
+        """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.
 
         added  places of the parts that it adds to; what keeps fluid is added anywhere in a closure's row
         """

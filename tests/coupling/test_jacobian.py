@@ -230,7 +230,11 @@ def check_derivative(newton, random):
 
 def check_refilled(newton, point):
     """A matrix that has seen another state equals one that is filled for the first time: nothing of that state is left."""
-    filled, once, balances = newton.matrix, JoinedMatrix(newton.matrix.operators, newton.problem.loads), point.duplicate()
+    filled, once, balances = (
+        newton.matrix,
+        JoinedMatrix(newton.matrix.operators, newton.problem.loads),
+        point.duplicate(),
+    )
     for matrix, share in ((filled, 1.0 + 1e-3), (filled, 1.0), (once, 1.0)):
         newton.matrix = matrix
         newton._function(newton.snes, share * point, balances)
