@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.diagnostics.joints import rock_values
 from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
@@ -70,6 +71,14 @@ def cells_of_event(scene: Scene, bounded: Scene | None = None) -> float:
     fine = min(geometry.size, (geometry.size_at_fractures or geometry.size) / 2**scene.refine)
     area = polygon_area(np.array(geometry.outline))
     return graded_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
+
+
+def period_of_event(scene: Scene, bounded: Scene | None = None) -> float:
+    """Longest period of S waves in the box of that mesh between sides that stay where they are [time]; ``bounded`` as above."""
+    geometry = event_scene(scene, bounded).geometry
+    assert geometry is not None
+    speed = float(rock_values(scene, tuple(scene.rock))["shear_speed"].max())
+    return float(2.0 / (speed * np.hypot(*(1.0 / np.ptp(np.array(geometry.outline), axis=0)))))
 
 
 def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]:
