@@ -16,10 +16,11 @@ from fracflow.model.setup import Model
 from fracflow.solve.newton import BRIEF
 
 
-def cost_of_events(model: Model, iteration: float, iterations: int) -> dict[str, str]:
+def cost_of_events(model: Model, iteration: float, iterations: int, longest: float = 0.0) -> dict[str, str]:
     """Time that events and slow slip of each stage auto take beside the steps planned, by the seconds of a Newton iteration.
 
     iterations  of a step
+    longest     period of vibration of the mesh that events get, where the rock has none [time]
 
     The number of events is not known: the cost is that of one. On one process.
     """
@@ -32,10 +33,11 @@ def cost_of_events(model: Model, iteration: float, iterations: int) -> dict[str,
             continue
         finally:
             state.destroy()
-        longest = max(stage.time_step or 0.0, least)
-        trials = math.ceil(math.log2(longest / least))
+        period = max(period, longest)
+        usual = max(stage.time_step or 0.0, least)
+        trials = math.ceil(math.log2(usual / least))
         waves = math.ceil(max(1.0, stage.rest_periods) * period / least)
-        after = (CALM + 1) * math.ceil(math.log2(max(longest / period, 1.0)))
+        after = (CALM + 1) * math.ceil(math.log2(max(usual / period, 1.0)))
         seconds = iteration * (trials * BRIEF + (waves + after) * iterations)
         found[f"each event in stage {stage.title}, about"] = (
             f"{trials} trials rejected before it, at least {waves} steps with inertia of"

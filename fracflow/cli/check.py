@@ -19,7 +19,7 @@ from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
-from fracflow.reduction.event_mesh import cells_of_event
+from fracflow.reduction.event_mesh import cells_of_event, period_of_event
 from fracflow.reduction.far_sides import one_obstacle
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
@@ -30,6 +30,7 @@ from fracflow.solve.rock_cost import NUMBER, direct, rock_choice, without_solves
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
 SERIES = 4000.0  # the same for an unknown of rock by multipoles, by scripts/bench multipoles
 PRODUCTS = 10  # in a linear solve there
+MESHES = 5e-5  # seconds a cell takes to be made and set up, by scripts/figures plan --only wide
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
@@ -89,12 +90,15 @@ def _network(model: Model) -> NetworkCheck:
     return NetworkCheck(snap, [miss.as_record() for miss in misses], parts)
 
 
-def _of_event(model: Model) -> float:
-    """Seconds of an iteration on the mesh that an event in rock without one gets; 0 of meshed rock."""
+def _of_events(model: Model, each: float) -> dict[str, str]:
+    """Cost of events by the seconds of an iteration ``each``, or by those on the mesh that they get in rock without one."""
     if not model.scene.is_unbounded or not model.scene.has_dynamics:
-        return 0.0
-    unknowns = int(cells_of_event(model.scene, model.bounded))  # two a node, which two cells have
-    return direct(unknowns).seconds * (1.0 + BESIDES) + OWN
+        return cost_of_events(model, each, ITERATIONS)
+    cells = int(cells_of_event(model.scene, model.bounded))
+    each = direct(cells).seconds * (1.0 + BESIDES) + OWN  # two displacements a node, which two cells have
+    period = period_of_event(model.scene, model.bounded)
+    mesh = {"mesh of the first event, about": f"{cells:.2g} cells, made in {MESHES * cells:.2g} CPU s"}
+    return mesh | cost_of_events(model, each, ITERATIONS, period)
 
 
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
@@ -133,7 +137,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
             each += PRODUCTS * product
             made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
-        found |= cost_of_events(model, _of_event(model) or each, ITERATIONS)
+        found |= _of_events(model, each)
         parts.append(f"{ITERATIONS} iterations a step, each with {made}")
     besides = ["events and searches"] if more else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []

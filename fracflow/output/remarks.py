@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any
 
+MESH_OF_EVENTS = "mesh of events"  # the part of a plan that a run adds once an event has meshed its rock
 _COORDINATE = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 _LIMIT = re.compile(
     r"limit point: (?:.* is near: )?"

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.diagnostics.joints import rock_values
 from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH, side_names
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
-from fracflow.reduction.cell_growth import growth_beside
-from fracflow.reduction.mesh_size import ACROSS, MOST_CELLS, cell_count, trace_lengths, typical_length
+from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths
 from fracflow.reduction.unresolved import unresolved
 from fracflow.remarks import note
 from fracflow.scene.method import Points
@@ -52,22 +52,10 @@ def event_scene(scene: Scene, bounded: Scene | None = None) -> Scene:
     keys = {
         "domain": corners,
         "size": max(size, fine) / 2**geometry.refine,
-        "growth": _growth(scene, size, corners),
+        "growth": growth_of(scene, size, corners),
         "refine": 0,
     }
     return scene.model_copy(update={"geometry": geometry.model_copy(update=keys), **sides})
-
-
-def _growth(scene: Scene, size: float, corners: Points) -> float:
-    """Growth of the cells: that of the scene, or less where their error would be larger than that of the joints."""
-    geometry = scene.geometry
-    assert geometry is not None
-    usual, lengths = geometry.growth or GROWTH, trace_lengths(geometry)
-    if not (geometry.size_at_fractures or geometry.size):
-        return usual
-    growth = min(usual, growth_beside(scene, typical_length(lengths))[0])
-    fine, area = geometry.size_at_fractures or size, polygon_area(np.array(corners))
-    return growth if cell_count(size, fine, area, float(lengths.sum()), growth) <= MOST_CELLS else usual
 
 
 def _box(low: Floats, high: Floats) -> Points:
@@ -82,7 +70,15 @@ def cells_of_event(scene: Scene, bounded: Scene | None = None) -> float:
     length = float(trace_lengths(geometry).sum())
     fine = min(geometry.size, (geometry.size_at_fractures or geometry.size) / 2**scene.refine)
     area = polygon_area(np.array(geometry.outline))
-    return cell_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
+    return graded_count(geometry.size, fine, area, length, geometry.growth or GROWTH)
+
+
+def period_of_event(scene: Scene, bounded: Scene | None = None) -> float:
+    """Longest period of S waves in the box of that mesh between sides that stay where they are [time]; ``bounded`` as above."""
+    geometry = event_scene(scene, bounded).geometry
+    assert geometry is not None
+    speed = float(rock_values(scene, tuple(scene.rock))["shear_speed"].max())
+    return float(2.0 / (speed * np.hypot(*(1.0 / np.ptp(np.array(geometry.outline), axis=0)))))
 
 
 def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]:

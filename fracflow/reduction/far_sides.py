@@ -16,15 +16,16 @@ from fracflow.elements import dislocation
 from fracflow.errors import ReductionInvalid
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.traces import polygon_area
-from fracflow.mesh.read import GROWTH, side_names
+from fracflow.mesh.read import side_names
+from fracflow.model.multipole_rock import FROM
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
-from fracflow.reduction.mesh_size import ACROSS, MOST_JOINTS, cell_count, typical_length
+from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
 from fracflow.remarks import note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
-from fracflow.solve.rock_cost import direct
+from fracflow.solve.rock_cost import direct, unmeshed
 
 PART = "sides and mesh of the rock"
 CRITERION = "stress of all fractures on the sides, over the change of stress along them"
@@ -34,9 +35,8 @@ PLACES = 16  # along a side, and from bend to bend of a trace, where stresses an
 PER_FRACTURE = 16  # joints, where the scene states no size
 TIPPED = 12.0  # joints that finer tips add to a fracture
 AT_TIPS = 4.0  # times finer joints at tips than elsewhere
-DENSE = 2.2  # CPU s for 1000 joints, as a whole step takes; it goes as the cube of their number
-CLEARLY = 2.0  # times less CPU time of a factorisation
-LEAST = 0.02  # CPU s of one: less is not worth another model
+CLEARLY = 1.25  # times less CPU time of an iteration: prices are as exact as that
+LEAST = 0.01  # CPU s of one: less is not worth another model
 
 
 def why_meshed(scene: Scene) -> str:
@@ -56,7 +56,7 @@ def one_obstacle(scene: Scene) -> list[str]:
         or meshed < max(LEAST, CLEARLY * dense)
     ):
         return []
-    faster = f"else a factorisation would be some {meshed / max(dense, 1e-3):.2g} times faster"
+    faster = f"else an iteration would be some {meshed / max(dense, 1e-3):.2g} times faster"
     return [note(f"one thing keeps the mesh of the rock, whose sides are far: {found[0]}; {faster}")]
 
 
@@ -140,17 +140,21 @@ def _nearest(scene: Scene, points: Floats) -> Iterator[Floats]:
 
 
 def _cpu(scene: Scene) -> tuple[float, float]:
-    """CPU s of a factorisation with a mesh, and without; infinite where joints are too many. Levels of a study agree in it."""
+    """CPU s of an iteration of Newton's method with a mesh, and without. Levels of a study agree in it.
+
+    Infinite where multipoles would have to settle the level of a pressure that no well holds. Factors of near joints amplify it
+    by what the fluid conducts over what it stores in a step, which FGMRES may not make up for.
+    """
     geometry = scene.geometry
     assert geometry is not None
-    corners = np.array(geometry.outline, dtype=float)
-    traces = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
-    lengths = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in traces])
+    corners, lengths = np.array(geometry.outline, dtype=float), trace_lengths(geometry)
     size = geometry.size or float(np.ptp(corners, axis=0).min()) / ACROSS
     fine = geometry.size_at_fractures or geometry.size or min(size, typical_length(lengths) / PER_FRACTURE)
-    cells = cell_count(size, fine, polygon_area(corners), float(lengths.sum()), geometry.growth or GROWTH)
-    joints = float(lengths.sum()) / fine + TIPPED * len(traces)
-    return direct(int(cells)).seconds, DENSE * (joints / 1000.0) ** 3 if joints <= MOST_JOINTS else np.inf
+    growth = growth_of(scene, size, geometry.outline)
+    cells = graded_count(size, fine, polygon_area(corners), float(lengths.sum()), growth)
+    joints = float(lengths.sum()) / fine + TIPPED * len(lengths)
+    is_free = scene.fluid is not None and not any(well.pressure is not None for well in scene.well)
+    return direct(int(cells)).seconds, np.inf if joints > FROM and is_free else unmeshed(joints)
 
 
 def assessed(scene: Scene) -> FarSides | None:
@@ -162,7 +166,7 @@ def assessed(scene: Scene) -> FarSides | None:
     error, (meshed, dense) = estimated(scene), _cpu(scene)
     why = "" if error < _tolerance(scene) else "the sides are too near"
     if not why and (meshed < LEAST or meshed < CLEARLY * dense):
-        why = f"a factorisation takes some {meshed:.1g} CPU s with a mesh, and {dense:.1g} s without"
+        why = f"an iteration takes some {meshed:.1g} CPU s with a mesh, and {dense:.1g} s without"
     return FarSides(error, meshed / max(dense, 1e-3), why)
 
 
@@ -197,7 +201,7 @@ def decide_sides(facts: ReductionInput) -> Iterator[Decision]:
         return
     value = sides.why if not sides.error else sides.error
     until = ", until an event needs inertia" if facts.scene.has_dynamics else ""
-    saves = f"nothing: {sides.why}" if sides.why else f"the mesh: {sides.faster:.2g} times faster factorisations{until}"
+    saves = f"nothing: {sides.why}" if sides.why else f"the mesh: {sides.faster:.2g} times faster iterations{until}"
     error = (
         f"of jumps, tractions and pressures, relative to the largest: at most {facts.tolerance:g}, checked in each step"
     )

@@ -19,7 +19,7 @@ from fracflow.mesh.rock_cells import RockCells
 from fracflow.reduction.cell_growth import growth_beside, has_tip, of_stated, weakens
 from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE
-from fracflow.scene.method import Geometry
+from fracflow.scene.method import Geometry, Points
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import LENGTH
@@ -32,7 +32,7 @@ PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
-MOST_JOINTS = 1000  # that are proposed in rock that is not meshed, whose stiffness is dense
+MOST_JOINTS = 2000  # that are proposed in rock that is not meshed: an iteration takes as long as with so many cells
 PROPOSED = "{}, the most that are proposed,"
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
@@ -101,6 +101,27 @@ def cell_count(size: float, fine: float, area: float, length: float, growth: flo
     """
     graded = area / size**2 + 2.0 * length / (growth * fine)
     return PER_TRIANGLE * min(graded, area / fine**2)
+
+
+def graded_count(size: float, fine: float, area: float, length: float, growth: float) -> float:
+    """The same about fractures that are short beside the domain: around them cells grow in a ring as from one place.
+
+    Around a place, 2 pi times the integral of r/(h + g r)^2 is 2 pi/g^2 (log(H/h) + h/H - 1), to cells of H.
+    """
+    ring = 2.0 * np.pi / growth**2 * (np.log(size / fine) + fine / size - 1.0) if fine < size else 0.0
+    return min(cell_count(size, fine, area, length, growth) + PER_TRIANGLE * ring, PER_TRIANGLE * area / fine**2)
+
+
+def growth_of(scene: Scene, size: float, corners: Points) -> float:
+    """Growth of cells of a stated size: that of the scene, or less where their error would exceed that of the joints."""
+    geometry = scene.geometry
+    assert geometry is not None
+    usual, lengths = geometry.growth or USUAL, trace_lengths(geometry)
+    if not (geometry.size_at_fractures or geometry.size):
+        return usual
+    growth = min(usual, growth_beside(scene, typical_length(lengths))[0])
+    fine, area = geometry.size_at_fractures or size, polygon_area(np.array(corners))
+    return growth if cell_count(size, fine, area, float(lengths.sum()), growth) <= MOST_CELLS else usual
 
 
 def affordable(size: float, fine: float, area: float, length: float, growth: float, most: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from fracflow.mesh.cut_mesh import sizes_of
 from fracflow.mesh.data import is_unmeshed
 from fracflow.output.history import last_of
-from fracflow.output.remarks import alike, part_of, saved
+from fracflow.output.remarks import MESH_OF_EVENTS, alike, part_of, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.remarks import has_mark, parted
 from fracflow.run_report.data import RunReport, number
@@ -241,7 +241,8 @@ def _domain(run: RunReport, scene: Scene) -> str:
         file = scene.mesh_path.name if scene.mesh_path is not None else "a file"
         return f"The rock is the mesh of {file}, in plane strain."
     count = len(scene.geometry.fracture)
-    fractures = f"{count} fracture{'' if count == 1 else 's'}"
+    made = next((str(each.get("value", "")) for each in run.plan if each.get("part") == MESH_OF_EVENTS), "")
+    fractures = f"{count} fracture{'' if count == 1 else 's'}{made and f'. Its mesh for events has {made}'}"
     if scene.is_unbounded:
         until = " until an event needs inertia" if scene.has_dynamics else ""
         return f"Rock without sides, in plane strain and not meshed{until}, with {fractures}."

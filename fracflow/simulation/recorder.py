@@ -20,7 +20,7 @@ from fracflow.output.profiles import Timetable, intervals
 from fracflow.output.rock import rock_slabs, shown_rock
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, Status, write_status
-from fracflow.reduction import ReductionInput, factorisations
+from fracflow.reduction import Decision, ReductionInput, factorisations, mesh_of_events
 from fracflow.scene.quantities import REGIMES
 from fracflow.simulation.files import Files, Notes
 from fracflow.simulation.notices import Notices, watches_spurious
@@ -64,14 +64,25 @@ class Recorder:
                 pass
         return on_root(self.comm, work)
 
-    def hand_over(self, model: Model) -> None:
-        """Go on with a model on a mesh that has taken the place of one without. Collective."""
-        self.model = model
+    def hand_over(self, model: Model, time: float, why: str) -> None:
+        """Go on with a model on a mesh that has taken the place of one without, since an event asked for it. Collective."""
+        self.model, sizes = model, model.operators.blocks.sizes
+        self.totals.meshed = {
+            "when": model.scene.time_text(time),
+            "why": why,
+            "cells": sizes.cells,
+            "nodes": sizes.nodes,
+        }
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
         self._notices = Notices(model, self.totals, self.log)
         with shown_rock(model.operators.blocks, model.mesh) as rock:
             if rock is not None:
                 self._write(lambda files: files.hand_over(model, rock))
+        self._write(lambda files: files.write_plan([*files.decisions, *self._meshed()]))
+
+    def _meshed(self) -> list[Decision]:
+        """The record of the mesh that an event was given, if one was."""
+        return [mesh_of_events(**self.totals.meshed)] if self.totals.meshed else []
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
@@ -195,7 +206,7 @@ class Recorder:
             self.log(line)
         if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self._write(lambda files: files.write_plan([*files.decisions, done]))
+            self._write(lambda files: files.write_plan([*files.decisions, *self._meshed(), done]))
             self._write(lambda files: write_status(files.folder, status))
             self._write_lost(files)
             if files.folder.unlogged:

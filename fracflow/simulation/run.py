@@ -298,7 +298,7 @@ def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNee
     found = handed_over(model, new, state)
     event = on_mesh(needed.progress, new, found.state, scene.stage[step.stage])
     destroy(state, model.operators.stiffness)  # large, and done with
-    recorder.hand_over(new)
+    recorder.hand_over(new, found.state.time, needed.why)
     sizes, units = new.operators.blocks.sizes, scene.unit_names
     mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))
     stored = found.state.energy["rock_strain"]

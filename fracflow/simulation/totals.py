@@ -31,6 +31,7 @@ class Totals:
     profiles  where the ``Timetable`` of the profiles stands
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
+    meshed    the mesh that an event in rock without one was given: "when" and "why" in words, "cells" and "nodes"
     """
 
     steps: int = 0
@@ -61,6 +62,7 @@ class Totals:
     doubts: list[str] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
+    meshed: dict[str, Any] = field(default_factory=dict)
     profiles: dict[str, Any] = field(default_factory=dict)
 
     @classmethod

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
 """Operators whose values are read where they are needed."""
+BY_STATE = ("jump", "network", "feedback")
+"""Parts of the pattern to whose entries joints and flow add by their state."""
 AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
 
 
@@ -108,8 +110,8 @@ class JoinedMatrix:
         self._prepare_blocks()
         self.stood: tuple[Any, ...] = ()
         """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
-        changing, self._changing_entries = self._find_changing()
-        starts = np.concatenate([[0], np.cumsum(np.diff(self._starts)[changing])])
+        added = [pattern.places[name] for name in BY_STATE if name in pattern.places]
+        changing, starts, self._changing_entries = self._find_changing(added)
         columns, rows = pattern.columns[self._changing_entries], petsc_ints(changing + self.layout.start)
         self._changing = petsc_ints(starts), columns, rows
         self._standing = np.zeros(0)  # values of those entries without the state
@@ -168,17 +170,23 @@ class JoinedMatrix:
             inside = np.isin(ops.blocks.joints.flow, closure.nodes)
             self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
 
-    def _find_changing(self) -> tuple[Ints, Ints]:
-        """Entries of this rank's rows to which the state adds something: numbers of rows, places of entries. Collective."""
+    def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
+        """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.
+
+        added  places of the parts that it adds to; what keeps fluid is added anywhere in a closure's row
+        """
         marks = self.layout.joined_vector()
-        for numbers in (*self._sections, self._flow_nodes, self._keeping):
-            chosen = petsc_ints(numbers[numbers >= 0])
-            marks.setValues(chosen, np.ones(len(chosen)), PETSc.InsertMode.ADD)
+        chosen = petsc_ints(self._keeping[self._keeping >= 0])
+        marks.setValues(chosen, np.ones(len(chosen)), PETSc.InsertMode.ADD)
         marks.assemble()
-        changes = marks.getArray(readonly=True) > 0.0
-        entries = np.flatnonzero(np.repeat(changes, np.diff(self._starts)))
+        is_changing = np.repeat(marks.getArray(readonly=True) > 0.0, np.diff(self._starts))
         marks.destroy()
-        return np.flatnonzero(changes), entries
+        for places in added:
+            is_changing[places] = True
+        entries = np.flatnonzero(is_changing)
+        ends = np.searchsorted(entries, self._starts)
+        rows = np.flatnonzero(np.diff(ends))
+        return rows, np.append(ends[rows], ends[-1]), entries
 
     def _held(self, only: str | None) -> np.ndarray:
         """Whether each of the unknowns of all ranks is held."""
@@ -293,7 +301,10 @@ class JoinedMatrix:
         matrix, state = self.matrix, self.matrix.stateGet()
         rows = PETSc.IS().createGeneral(self._changing[2], comm=self.layout.comm)
         part = rows_of(matrix, rows)
-        values = part.getValuesCSR()[2]
+        row_starts, _, all_values = part.getValuesCSR()
+        here = self._changing[2] - self.layout.start
+        shift = np.repeat(row_starts[:-1] - self._starts[here], np.diff(self._changing[0]))
+        values = all_values[self._changing_entries + shift]
         destroy(rows, part)
         self._insert(matrix, self._standing)
         matrix.assemble()

@@ -3,12 +3,15 @@
 Values count by their change since the start, over the largest change of their kind: pressures over that of all
 pressures, components of a vector or tensor over that of all of them, energies over that of all entries of the books. A
 value that changes less than FLOOR of the largest one of its dimension counts as constant.
+
+Without sides a run has no mesh, and the full one errs by its own. Where they are further apart than the tolerance, the full
+run is made again on a mesh twice as fine, which decides.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
-import time
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
@@ -20,6 +23,8 @@ from numpy.typing import NDArray
 from fracflow._petsc import MPI
 from fracflow.advance.step import Step
 from fracflow.errors import InputError, SolveError
+from fracflow.mesh.data import is_unmeshed
+from fracflow.mesh.store import load_mesh
 from fracflow.output import read_events, read_history
 from fracflow.scene.quantities import row_of
 from fracflow.scene.scene import Scene
@@ -52,12 +57,17 @@ DIMENSIONS = {
 
 
 class Ran(NamedTuple):
-    """Histories by key, rows of events, CPU seconds of this process, and why the run ended early, "" where it did not."""
+    """Histories by key, rows of events, CPU seconds, and why the run ended early, "" where it did not.
+
+    seconds     of this process and of those that it started, as for a mesh
+    has_cells   whether the rock was meshed when the run began
+    """
 
     history: dict[str, NDArray[Any]]
     events: list[dict[str, Any]]
     seconds: float
     failure: str
+    has_cells: bool = True
 
     @property
     def end(self) -> float:
@@ -77,12 +87,16 @@ class Gap(NamedTuple):
 
 
 class Twins(NamedTuple):
-    """A scene with all in it and as the plan has it; the largest gaps of its "probes", "events" and "energy"."""
+    """A scene with all in it and as the plan has it; the largest gaps of its "probes", "events" and "energy".
+
+    coarse  worst error of the full run on the scene's own mesh, where a finer mesh decides; else None
+    """
 
     full: Ran
     reduced: Ran
     tolerance: float
     gaps: dict[str, Gap]
+    coarse: float | None = None
 
     @property
     def ratio(self) -> float:
@@ -119,8 +133,22 @@ def twins(scene: Scene, *reduced: str, most: float = np.inf) -> Twins:
         data[part] = {**data.get(part, {}), key: value}
     tolerance = min(scene.accuracy.tolerance or TOLERANCE, TOLERANCE)
     other = Scene.from_data(data, scene.folder / scene.source) if reduced else scene
-    pair = once(full_of(scene), most), once(other)
-    return Twins(*pair, tolerance, gaps(*pair, tolerance, any(stage.kind == "auto" for stage in scene.stage)))
+    full, less = once(full_of(scene), most), once(other)
+    is_auto = any(stage.kind == "auto" for stage in scene.stage)
+    found = Twins(full, less, tolerance, gaps(full, less, tolerance, is_auto))
+    if less.has_cells or not 1.0 < found.ratio < np.inf:
+        return found
+    fine = once(full_of(refined(scene)))
+    own = Twins(fine, full, tolerance, gaps(fine, full, tolerance, is_auto, is_same_mesh=False))
+    errors = gaps(fine, less, tolerance, is_auto)
+    return found._replace(gaps=errors, coarse=own.ratio * tolerance)
+
+
+def refined(scene: Scene) -> Scene:
+    """The scene with cells and joints half as long."""
+    assert scene.geometry is not None
+    geometry = scene.geometry.model_copy(update={"refine": scene.geometry.refine + 1})
+    return scene.model_copy(update={"geometry": geometry})
 
 
 def once(scene: Scene, most: float = np.inf) -> Ran:
@@ -132,19 +160,25 @@ def once(scene: Scene, most: float = np.inf) -> Ran:
             raise TooLong
 
     with tempfile.TemporaryDirectory() as name:
-        began, failure = time.process_time(), ""
+        began, failure = cpu_seconds(), ""
         try:
             run(scene, Path(name) / "run", MPI.COMM_SELF, watch)
         except (SolveError, InputError) as error:
             failure = str(error).partition("\n")[0]
-        seconds = time.process_time() - began
+        seconds = cpu_seconds() - began
         if not (Path(name) / "run" / "history.h5").exists():
             return Ran({}, [], seconds, failure)
         history = read_history(Path(name) / "run" / "history.h5")
-        return Ran(history, read_events(Path(name) / "run" / "events.csv"), seconds, failure)
+        has_cells = not is_unmeshed(load_mesh(Path(name) / "run" / "mesh.h5").cells)
+        return Ran(history, read_events(Path(name) / "run" / "events.csv"), seconds, failure, has_cells)
 
 
-def gaps(full: Ran, reduced: Ran, tolerance: float, is_auto: bool) -> dict[str, Gap]:
+def cpu_seconds() -> float:
+    """CPU seconds of this process and of those that it has started and that have ended."""
+    return sum(os.times()[:4])
+
+
+def gaps(full: Ran, reduced: Ran, tolerance: float, is_auto: bool, is_same_mesh: bool = True) -> dict[str, Gap]:
     """Largest gap of probes (with controls), of events, and of energies; none where no step was made.
 
     Records of the same instants are compared as they are. One that the other run has not may take any value that the
@@ -168,7 +202,8 @@ def gaps(full: Ran, reduced: Ran, tolerance: float, is_auto: bool) -> dict[str, 
             row, column = np.unravel_index(np.where(of_it, apart, -1.0).argmax(), apart.shape)
             if of_it.any() and apart[row, column] > found[name].error:
                 found[name] = Gap(float(apart[row, column]), f"{owners[column]} at {at[row]:.6g}")
-    return found | {"events": events_apart(full, reduced, sizes)}
+    by_node = is_same_mesh and full.has_cells == reduced.has_cells
+    return found | {"events": events_apart(full, reduced, sizes, by_node)}
 
 
 def columns(history: Mapping[str, NDArray[Any]], key: str) -> Floats:
@@ -227,10 +262,11 @@ def between(times: Floats, values: Floats, at: Floats) -> Floats:
     return (1.0 - share) * values[right - 1] + share * values[right]
 
 
-def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
+def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float], by_node: bool) -> Gap:
     """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips.
 
-    A section that reaches its strength at the end of a step slips in this one or from the next on, by round-off.
+    A place is a node, or a fracture where both runs have nodes of their own (not ``by_node``). A section that reaches its
+    strength at the end of a step slips in this one or from the next on, by round-off.
     """
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {
@@ -243,7 +279,7 @@ def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
     most["dropped"] = most["radiated"] = most["dissipated"] = max(
         most[key] for key in ("dropped", "radiated", "dissipated")
     )
-    tables = [by_place(ran, most, duration) for ran in (full, reduced)]
+    tables = [by_place(ran, most, duration, by_node) for ran in (full, reduced)]
     for own, other in (tables, tables[::-1]):
         for place, rows in own.items():
             none = rows.copy()
@@ -264,7 +300,7 @@ def unlike(rows: Floats, others: Floats) -> Floats:
     return np.maximum(apart[..., 4:].max(axis=2), np.maximum(apart[..., :2] - steps, 0.0).max(axis=2))
 
 
-def by_place(ran: Ran, most: Mapping[str, float], duration: float) -> dict[Any, Floats]:
+def by_place(ran: Ran, most: Mapping[str, float], duration: float, by_node: bool) -> dict[Any, Floats]:
     """Rows (n, 4 + numbers) of each place, or of all events of a stage auto, as shares of the duration and of ``most``.
 
     They are start, end, the lengths of the steps that ended there, and what the event came to.
@@ -272,7 +308,7 @@ def by_place(ran: Ran, most: Mapping[str, float], duration: float) -> dict[Any, 
     tables: dict[Any, list[list[float]]] = {}
     times = ran.history["time"]
     for row in ran.events:
-        place = ("event",) if row["kind"] == "event" else (row["kind"], row["fracture"], row["node"])
+        place = ("event",) if row["kind"] == "event" else (row["kind"], row["fracture"], row["node"] if by_node else "")
         instants = np.array([row["start"], ran.end if row["end"] is None else row["end"]])
         before = np.maximum(np.searchsorted(times, instants) - 1, 0)
         shares = [(row[key] or 0.0) / most[key] if most[key] else 0.0 for key in OF_EVENTS[row["kind"]]]

@@ -224,7 +224,25 @@ def check_derivative(newton, random):
         wrong = np.abs(difference.getArray()[part] - product.getArray()[part]).max(initial=0.0)
         size = layout.comm.allreduce(np.abs(product.getArray()[part]).max(initial=0.0), op=MPI.MAX)
         assert layout.comm.allreduce(wrong, op=MPI.MAX) <= 2e-7 * size
+    check_refilled(newton, point)
     newton._function(newton.snes, point, product)
+
+
+def check_refilled(newton, point):
+    """A matrix that has seen another state equals one that is filled for the first time: nothing of that state is left."""
+    filled, once, balances = (
+        newton.matrix,
+        JoinedMatrix(newton.matrix.operators, newton.problem.loads),
+        point.duplicate(),
+    )
+    for matrix, share in ((filled, 1.0 + 1e-3), (filled, 1.0), (once, 1.0)):
+        newton.matrix = matrix
+        newton._function(newton.snes, share * point, balances)
+        newton._jacobian(newton.snes, share * point, matrix.matrix, matrix.matrix)
+    newton.matrix = filled
+    found, wanted = (each.matrix.getValuesCSR()[2] for each in (filled, once))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14 * np.abs(wanted).max(initial=0.0))
+    once.destroy()
 
 
 def test_few_rows_at_once_make_the_same_matrix(monkeypatch):

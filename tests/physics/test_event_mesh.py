@@ -9,6 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.advance.event_rock import handed_over
 from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping, stepper_of
+from fracflow.api import Run
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh import around
 from fracflow.mesh.data import is_unmeshed
@@ -180,6 +181,12 @@ def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
     first = history["energy/rock_strain"][now] + history["energy/change_of_rock"][now]
     assert first == pytest.approx(history["energy/rock_strain"][now - 1], rel=1e-12)
     assert 0.0 < abs(history["energy/change_of_rock"][now]) < 0.01 * abs(first)
+    record = Run(shared_tmp / "run").plan  # as the run's page and its reader have it
+    (made,) = (row for row in record if row["part"] == "mesh of events")
+    cells = len(load_mesh(shared_tmp / "run" / "event_mesh.h5").cells)
+    when = load(scene).time_text(history["time"][now])
+    assert made["value"].startswith(f"{cells} cells") and made["value"].endswith(f"made at time {when}")
+    assert len(made["saves"]) > len("nothing: ")
     largest = max(np.abs(history[key]).max() for key in history if key.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() < 1e-10 * largest
     kinds = history["step/kind"]
@@ -253,8 +260,8 @@ def test_no_event_needs_no_mesh(scene, shared_tmp, monkeypatch):
     assert "Gmsh: cannot" in (folder / "log.txt").read_text()
     monkeypatch.undo()
 
-    def is_killed(self, model):
-        hand_over(self, model)
+    def is_killed(self, *given):
+        hand_over(self, *given)
         raise KeyboardInterrupt
 
     hand_over = Recorder.hand_over

@@ -217,7 +217,7 @@ def test_one_obstacle_is_named(dear_meshes):
 def test_estimate_falls_with_the_square_of_the_distance():
     near, far = (far_sides.estimated(scene_of(wide)) for wide in (2e3, 4e3))
     assert near / far == pytest.approx(4.0, rel=0.02)
-    assert far_sides.assessed(scene_of()).why.startswith("a factorisation takes some")
+    assert far_sides.assessed(scene_of()).why.startswith("an iteration takes some")
     assert not far_sides.assessed(
         scene_of(geometry=scene_of().geometry.model_dump(exclude_none=True) | {"size": 4.0})
     ).why

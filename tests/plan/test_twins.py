@@ -7,6 +7,7 @@ import pytest
 from figures_plan.__main__ import MESHES
 from figures_plan.scenes import scene
 from figures_plan.twins import Ran, gaps, twins
+from figures_plan.wide import wide
 
 from fracflow.scene.scene import Scene, load
 
@@ -27,6 +28,15 @@ def test_a_scene_of_meshes():
     found = twins(load(MESHES / "crossings" / "scene.toml", short), "method.coupling=condensed")
     assert not found.full.failure
     assert found.ratio <= 1.0, found.worst
+
+
+def test_a_random_scene_in_wide_rock():
+    """Without sides and mesh, in less time; a mesh twice as fine decides where the scene's own errs more than that."""
+    found = twins(Scene.from_data(wide(29, joints=64), Path("wide.toml")))
+    assert not found.full.failure and found.full.has_cells and not found.reduced.has_cells
+    assert found.ratio <= 1.0, found.worst
+    assert found.coarse is None or found.coarse > found.tolerance
+    assert found.reduced.seconds < found.full.seconds
 
 
 def made(times, values, starts=(), slip=1.0):
