@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.facets import half_facets
 
@@ -108,45 +109,56 @@ def _links(row: Ints, inside: Bools, pairs: Ints) -> tuple[Ints, Ints]:
     return row[both[:, 0]], both[:, 1]
 
 
-def balanced(
-    mesh: SplitMesh, walls: ContactNodes, mass: Floats, piece: Ints, able: Bools
-) -> tuple[ContactNodes, Floats]:
-    """The walls whose mass can be moved, and what to add to nodal masses (n, 2, 2) to keep first moments.
+@dataclass(frozen=True)
+class Moments:
+    """First moments that the walls of each block move inward, for every pair of directions.
 
-    mass   (n,) nodal masses
-    piece  (n,) block of each node
+    moved  (p, 2, 2, 2)  sums [mass length]
+    size   (p,)          of the largest part
+    """
+
+    moved: Floats
+    size: Floats
+
+
+def moments_of(points: Floats, walls: ContactNodes, mass: Floats, piece: Ints, count: int) -> Moments:
+    """The moments of walls in so many blocks, by the points, masses and blocks of all nodes (n,) that they name."""
+    shift = np.zeros((len(walls.nodes), 2))
+    np.add.at(shift, walls.wall, walls.share[:, None] * points[walls.inner])
+    shift -= points[walls.nodes]
+    each = mass[walls.nodes][:, None, None, None] * shift[:, :, None, None] * walls.normal[:, None]
+    moved, size = np.zeros((count, 2, 2, 2)), np.zeros(count)
+    np.add.at(moved, piece[walls.nodes], each)
+    np.maximum.at(size, piece[walls.nodes], np.abs(each).max(axis=(1, 2, 3), initial=0.0))
+    return Moments(moved, size)
+
+
+def balanced(comm: MPI.Comm, points: Floats, mass: Floats, piece: Ints, moments: Moments) -> tuple[Floats, Bools]:
+    """What to add to the masses (n, 2, 2) of nodes inside the blocks to keep first moments, and the blocks (p,) that can.
+
+    points (n, 2), mass (n,) and piece (n,) are those of this rank's nodes inside; ``moments`` are the same on all ranks.
 
     Of each block the total mass and the first moment stay, for every pair of directions. Nodes inside a block gain or lose
-    in proportion to their distance from its centre; a block too thin for that keeps the mass of its walls.
+    in proportion to their distance from its centre; a block too thin for that keeps the mass of its walls. Collective.
     """
-    count = int(piece.max(initial=-1)) + 1
-    inside = able.copy()
-    inside[walls.nodes] = False
-    inside &= piece >= 0
-    weight, of = mass[inside], piece[inside]
-    total = np.bincount(of, weight, count)
-    center = np.stack([np.bincount(of, weight * x, count) for x in mesh.points[inside].T], axis=1)
-    center = center / np.where(total > 0.0, total, 1.0)[:, None]
-    arm = mesh.points[inside] - center[of]
-    spread = np.zeros((count, 2, 2))
-    np.add.at(spread, of, weight[:, None, None] * arm[:, :, None] * arm[:, None, :])
-    shift = np.zeros((len(walls.nodes), 2))
-    np.add.at(shift, walls.wall, walls.share[:, None] * mesh.points[walls.inner])
-    shift -= mesh.points[walls.nodes]
-    moved = np.zeros((count, 2, 2, 2))
-    each = mass[walls.nodes][:, None, None, None] * shift[:, :, None, None] * walls.normal[:, None]
-    np.add.at(moved, piece[walls.nodes], each)
-    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=MOMENT_ROUND_OFF, hermitian=True), moved)
-    lost = np.abs(np.einsum("pkl,plab->pkab", spread, slope) + moved).max(axis=(1, 2, 3), initial=0.0)
-    size = np.zeros(count)
-    np.maximum.at(size, piece[walls.nodes], np.abs(each).max(axis=(1, 2, 3), initial=0.0))
-    change = np.einsum("ik,ikab->iab", arm, slope[of])
-    most = np.zeros(count)
-    np.maximum.at(most, of, np.abs(np.linalg.eigvalsh(change)).max(axis=1, initial=0.0))
-    fits = (lost <= MOMENT_ROUND_OFF * size) & (most <= MOST_MOVED)
-    added = np.zeros((len(mass), 2, 2))
-    added[inside] = weight[:, None, None] * change * fits[of][:, None, None]
-    return walls.only(fits[piece[walls.nodes]]), added
+    count = len(moments.size)
+
+    def summed(values: Floats, operation: MPI.Op = MPI.SUM) -> Floats:
+        comm.Allreduce(MPI.IN_PLACE, values, op=operation)
+        return values
+
+    sums = summed(np.stack([np.bincount(piece, mass * x, count) for x in (np.ones(len(mass)), *points.T)], axis=1))
+    center = sums[:, 1:] / np.where(sums[:, :1] > 0.0, sums[:, :1], 1.0)
+    arm = points - center[piece]
+    spread, most = np.zeros((count, 2, 2)), np.zeros(count)
+    np.add.at(spread, piece, mass[:, None, None] * arm[:, :, None] * arm[:, None, :])
+    spread = summed(spread)
+    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=MOMENT_ROUND_OFF, hermitian=True), moments.moved)
+    lost = np.abs(np.einsum("pkl,plab->pkab", spread, slope) + moments.moved).max(axis=(1, 2, 3), initial=0.0)
+    change = np.einsum("ik,ikab->iab", arm, slope[piece])
+    np.maximum.at(most, piece, np.abs(np.linalg.eigvalsh(change)).max(axis=1, initial=0.0))
+    fits = (lost <= MOMENT_ROUND_OFF * moments.size) & (summed(most, MPI.MAX) <= MOST_MOVED)
+    return mass[:, None, None] * change * fits[piece][:, None, None], fits
 
 
 def tied_whole(walls: ContactNodes, unknown: Ints) -> ContactNodes:

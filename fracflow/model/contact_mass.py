@@ -6,24 +6,26 @@ P leaves translations as they are, so the total mass of every block stays.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.contact_nodes import averaged, balanced, contact_nodes_of, tied_whole
+from fracflow.mesh.contact_nodes import ContactNodes, averaged, balanced, contact_nodes_of, moments_of, tied_whole
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.distribute import pieces_of_rock
+from fracflow.mesh.slabs import Order
 from fracflow.model.joints import Joints, Massless
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.model.solid import by_shape
+from fracflow.model.solid import by_shape, rock_values, summed_at_nodes
 from fracflow.scene.scene import Scene
 
 SOME = 1e-9  # of a mass: what counts as lost
+Entries = tuple[Ints, Ints, Floats]
+"""Blocks of a matrix: rows (n, 2), columns (n, 2), values (n, 2, 2)."""
 
 
 def redistributes(scene: Scene) -> bool:
@@ -34,27 +36,49 @@ def redistributes(scene: Scene) -> bool:
 def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | None) -> Operators:
     """The operators with the mass of the walls moved inward, in place of the previous mass; or unchanged.
 
-    ``mesh`` is on rank 0. Collective.
+    ``mesh`` is on rank 0, which has the cells at joints and sides, and finds the walls. Each rank balances the blocks at
+    its own nodes. Collective.
     """
-    block, comm = ops.blocks.solid, ops.layout.comm
-    own = block.node_ids[: block.owned]
-    unknown = ops.blocks.gather(own, block.unknown[: block.owned], ops.blocks.sizes.nodes)
-    is_held = np.isin(np.arange(ops.layout.solid_count), loads.held)
-    held, damped = (comm.gather(flags, root=0) or [] for flags in (is_held, _damped(ops)))
-    entries, added = None, None
-    if mesh is not None and unknown is not None:
-        entries, added = _entries(mesh, scene, unknown, np.concatenate(held), np.concatenate(damped))
-    count = comm.bcast(0 if entries is None else len(entries[0]), root=0)
-    if not count:
+    comm, own = ops.layout.comm, _own_nodes(ops, scene)
+    here = own.ids < (count := comm.bcast(0 if mesh is None else len(mesh.points), root=0))
+    near = Order(comm, own.ids[here], count)  # nodes on near cells come first
+    unknown, mass, piece = (near.whole(values[here]) for values in (own.unknown, own.mass, own.piece))
+    flags = (np.isin(np.arange(ops.layout.solid_count), loads.held), _damped(ops))
+    held, damped = (_gathered(ops, np.flatnonzero(each)) for each in flags)
+    walls, moments, is_wall = None, None, None
+    if mesh is not None and unknown is not None and mass is not None and piece is not None:
+        walls = _walls(mesh, scene, unknown, held, damped)
+        moments = moments_of(mesh.points, walls, mass, piece, len(ops.blocks.solid.piece_rock))
+        is_wall = np.zeros(near.total, dtype=bool)
+        is_wall[walls.nodes] = True
+    moments = comm.bcast(moments, root=0)
+    inside = (own.unknown >= 0).all(axis=1) & (own.piece >= 0)
+    marked = np.zeros(near.count, dtype=bool)
+    near.hand_out(is_wall, 0, near.total, marked)
+    inside[here] &= ~marked
+    added, fits = balanced(comm, own.points[inside], own.mass[inside], own.piece[inside], moments)
+    if walls is not None and unknown is not None and piece is not None:
+        walls = averaged(walls.only(fits[piece[walls.nodes]]), unknown)
+    if not comm.bcast(0 if walls is None else len(walls.nodes), root=0):
         return ops
+    changed = added.any(axis=(1, 2))
+    carried = None if walls is None or unknown is None else _carried(walls, unknown)
+    return _moved_inward(ops, carried, own.unknown[inside][changed], added[changed])
+
+
+def _moved_inward(ops: Operators, carried: Entries | None, numbers: Ints, added: Floats) -> Operators:
+    """The operators with P' M P + C, by blocks of P - 1 on rank 0 and the blocks (n, 2, 2) of C at this rank's nodes.
+
+    Collective.
+    """
     inward, kept = _square(ops), _square(ops)
     first, last = inward.getOwnershipRange()
     rows = np.arange(first, last)[:, None]
     add_blocks(inward, rows, rows, np.ones((len(rows), 1, 1)))
     add_blocks(kept, rows, rows, np.zeros((len(rows), 1, 1)))
-    if entries is not None and added is not None:
-        add_blocks(inward, *entries)
-        add_blocks(kept, *added)
+    if carried is not None:
+        add_blocks(inward, *carried)
+    add_blocks(kept, numbers, numbers, added)
     inward.assemble()
     kept.assemble()
     mass = ops.mass.PtAP(inward)
@@ -62,6 +86,34 @@ def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | 
     destroy(kept, ops.mass)
     joints = replace(ops.joints, massless=massless(ops.joints, inward))
     return replace(ops, mass=mass, inward=inward, joints=joints)
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes of this rank: numbers (n,), points (n, 2), unknowns (n, 2), masses (n,), and blocks (n,) of rock."""
+
+    ids: Ints
+    points: Floats
+    unknown: Ints
+    mass: Floats
+    piece: Ints
+
+
+def _own_nodes(ops: Operators, scene: Scene) -> _Nodes:
+    """Those that this rank owns. Collective."""
+    block = ops.blocks.solid
+    density, mass = rock_values(ops.blocks, scene, "density"), np.zeros((len(block.points), 1))
+    for alike, nodes in by_shape(block.cells):
+        np.add.at(mass[:, 0], nodes, solid.mass_lumped(block.points[nodes], density[alike]))
+    mass = summed_at_nodes(ops.blocks, np.arange(len(mass)), mass)[:, 0]
+    own = slice(0, block.owned)
+    return _Nodes(block.node_ids[own], block.points[own], block.unknown[own], mass[own], block.piece[own])
+
+
+def _gathered(ops: Operators, here: Ints) -> Ints:
+    """Numbers of some of this rank's unknowns, of all ranks, on rank 0; none elsewhere. Collective."""
+    first = int(ops.layout.solid_starts[ops.layout.comm.rank])
+    return np.concatenate(ops.layout.comm.gather(first + here, root=0) or [here[:0]])
 
 
 def massless(joints: Joints, inward: PETSc.Mat) -> Massless:
@@ -100,32 +152,18 @@ def _damped(ops: Operators) -> Bools:
     return flags
 
 
-Entries = tuple[Ints, Ints, Floats]
-
-
-def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Bools, damped: Bools) -> tuple[Entries, Entries]:
-    """Blocks of P - 1 and of C: rows (n, 2), columns (n, 2), values (n, 2, 2) by numbers of unknowns."""
+def _walls(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Ints, damped: Ints) -> ContactNodes:
+    """The walls of a mesh whose nodes have unknowns (n, 2), some of which are held and some damped."""
     laws = [JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures]
     opens = np.array(laws, dtype=bool)[mesh.joint_fracture]
-    able = (unknown >= 0).all(axis=1)
-    free = able & ~damped[unknown].any(axis=1)  # -1, of rigid bodies, whose mass stays, takes the last entry
-    mass, piece = _nodal_mass(mesh, scene), pieces_of_rock(mesh)[0]
-    walls = tied_whole(contact_nodes_of(mesh, opens, free, held[unknown]), unknown)
-    walls, added = balanced(mesh, walls, mass, piece, able)
-    walls = averaged(walls, unknown)
+    free = (unknown >= 0).all(axis=1) & ~np.isin(unknown, damped).any(axis=1)
+    return tied_whole(contact_nodes_of(mesh, opens, free, np.isin(unknown, held)), unknown)
+
+
+def _carried(walls: ContactNodes, unknown: Ints) -> Entries:
+    """Blocks of P - 1, by numbers of unknowns."""
     rows, normal = unknown[walls.nodes], walls.normal
     given, taking = rows[walls.wall], normal[walls.wall] * walls.share[:, None, None]
     own, links = (rows, rows, -normal), (given, unknown[walls.inner], taking)
-    inward = tuple(np.concatenate(parts) for parts in zip(own, links, strict=True))
-    chosen = np.flatnonzero(added.any(axis=(1, 2)))
-    numbers = unknown[chosen]
-    return (inward[0], inward[1], inward[2]), (numbers, numbers, added[chosen])
-
-
-def _nodal_mass(mesh: SplitMesh, scene: Scene) -> Floats:
-    """Row sums of the mass matrix (n,)."""
-    density = np.array([scene.rock[name].density or 0.0 for name in mesh.rocks])[mesh.cell_rock]
-    result = np.zeros(len(mesh.points))
-    for alike, nodes in by_shape(mesh.cells):
-        np.add.at(result, nodes, solid.mass_lumped(mesh.points[nodes], density[alike]))
-    return result
+    blocks = tuple(np.concatenate(parts) for parts in zip(own, links, strict=True))
+    return blocks[0], blocks[1], blocks[2]

@@ -13,7 +13,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.cut_mesh import cut_mesh, near_mesh, whole_mesh
+from fracflow.mesh.cut_mesh import cut_mesh, near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.graph import components
@@ -402,7 +402,7 @@ def set_up(
     numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene) and not scene.is_unbounded:
-        operators = redistributed(operators, scene, loads, None if mesh is None else whole_mesh(mesh))
+        operators = redistributed(operators, scene, loads, mesh)
     lines = [line for term in operators.terms for line in term.notes]
     lines += operators.far.notes if operators.far is not None else ()
     placed = replace(placed, notes=(*placed.notes, *lines))

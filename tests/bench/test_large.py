@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import large
+import messages
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -66,3 +67,12 @@ def test_fit():
     ]
     assert large.fitted(rows)["explicit"] == {"c_GB": 0.1, "a": 1300, "b": 17}
     assert large.fitted(rows[:2]) == {}
+
+
+@pytest.mark.serial
+def test_messages_of_each_rank_are_summed_over_those_that_it_sends_to(tmp_path):
+    text = "# POINT TO POINT\nE\t{0}\t1\t400 bytes\t7 msgs sent\t1,2\nE\t{0}\t2\t20 bytes\t3 msgs sent\t1,2\n"
+    for rank in range(3):
+        more = f"# COLLECTIVES\nC\t{rank}\t0\t9 bytes\t1 msgs sent\n"  # which are among those above
+        (tmp_path / f"sent.{rank}.prof").write_text(text.format(rank) + more)
+    assert messages.sent(tmp_path / "sent") == 3 * [(10, 420)] and not list(tmp_path.iterdir())

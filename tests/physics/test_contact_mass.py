@@ -22,10 +22,10 @@ CROSSING = [
 ]
 
 
-def _scene(traces=CROSSING, size=0.2, cells="triangles", joint=JOINT, **more):
+def _scene(traces=CROSSING, size=0.2, cells="triangles", joint=JOINT, refine=0, **more):
     data = {
         "units": "none",
-        "geometry": {"domain": [0, 0, 3, 2], "fracture": traces, "size": size, "cells": cells},
+        "geometry": {"domain": [0, 0, 3, 2], "fracture": traces, "size": size, "cells": cells, "refine": refine},
         "rock": {"rock": ROCK},
         "fracture": {"default": joint},
         "stage": [{"kind": "dynamic", "time_step": 0.1, "steps": 1}],
@@ -69,9 +69,9 @@ def _of_blocks(ops, forces):
 
 
 @pytest.mark.parametrize("cells", ["triangles", "quads"])
-@pytest.mark.parametrize("kind", ["lumped", "consistent"])
-def test_each_block_keeps_its_mass_and_first_moments_in_every_direction(cells, kind):
-    moved, there = _model(cells=cells, method={"mass": kind})
+@pytest.mark.parametrize(("kind", "refine"), [("lumped", 0), ("lumped", 1), ("consistent", 0)])
+def test_each_block_keeps_its_mass_and_first_moments_in_every_direction(cells, kind, refine):
+    moved, there = _model(cells=cells, refine=refine, method={"mass": kind})
     assert moved.inward is not None
     points = moved.blocks.solid.points[: moved.blocks.solid.owned]
     assert len(moved.blocks.solid.piece_rock) == 4
