@@ -11,7 +11,7 @@ from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed_times import prescribed
 from fracflow.advance.regime import LONG, EventState, begin
-from fracflow.advance.slip_rate import longest_step
+from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, follows_slip, longest_step
 from fracflow.advance.slow_slip import RADIATED, SETTLED, Tried, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.step_error import step_error
@@ -129,7 +129,10 @@ class _Regimes:
         events = scene.accuracy.max_events if locates else 0
         step = stepping.by(self.moving)
         step = EventLocated(step, stepping) if events else step
-        self.waves = Substepped(step, Rules(most_halvings(scene), 0, events), log, place)
+        by_rate = follows_slip(model, self.moving)
+        step = BySlipRate(step, model, inertia=True) if by_rate else step
+        rules = Rules(most_halvings(scene), int(by_rate), events, MOST_HALVINGS * by_rate)
+        self.waves = Substepped(step, rules, log, place)
         slow = model.slow.get(number)
         self.most = None if slow is None else slow.error
         self.decision = "" if slow is None else slow.name

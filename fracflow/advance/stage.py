@@ -11,7 +11,7 @@ from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
-from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, creeps
+from fracflow.advance.slip_rate import MOST_HALVINGS, BySlipRate, follows_slip
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import InSmallStrains, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.errors import InputError
@@ -118,14 +118,15 @@ def composed(
     is_sought = is_weakening or model.scene.accuracy.step_error is not None
     most = most_halvings(model.scene, fills(model, stepper) and not is_sought)
     most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
-    by_rate = creeps(model) and not stepper.inertia
+    by_rate = follows_slip(model, stepper)
     order, finest = estimator.order or by_rate, max(estimator.finest, MOST_HALVINGS * by_rate)
-    rules = Rules(most, order, _events(stepping, stepper, whole), finest, estimator.of_flow or by_rate)
+    prompt = estimator.of_flow or (by_rate and not stepper.inertia)  # with inertia factors of one length serve again
+    rules = Rules(most, order, _events(stepping, stepper, whole), finest, prompt)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
     step = StableSlip(step, model, JUST_OVER * 0.5**most) if is_weakening else step
     step = ErrorControlled(step, estimator, stepping.explicit) if estimator.order else step
-    step = BySlipRate(step, model) if by_rate else step
+    step = BySlipRate(step, model, stepper.inertia) if by_rate else step
     step = SplitAtJumps(step, stepping, stepper, stepper.inertia or estimator.finest > 0) if given.ends else step
     step = InSmallStrains(step, model.scene) if fills(model, stepper) else step
     return Substepped(step, rules, log, place, given)

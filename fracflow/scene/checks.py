@@ -76,6 +76,9 @@ def _method(scene: Tables) -> Iterator[Fault]:
         if getattr(method, key) != value:
             why = f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"'
             yield ("method", key), why
+    if method.stepper == "explicit" and scene.accuracy.dynamic_slip_share is not None:
+        why = 'contradicts method.stepper = "explicit", whose steps the rock bounds; leave it out, or use stepper = "newmark"'
+        yield ("accuracy", "dynamic_slip_share"), why
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'

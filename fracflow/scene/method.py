@@ -353,6 +353,10 @@ class Accuracy(Table):
     """slip of a step without inertia over characteristic_slip, at most, on fractures of law = "rate-and-state": dt is at most
     that share of D_c/V; where slip slows down, V dt/D_c (ln V/V_old)^2 is at most its cube; with a tolerance steps are also
     so short that the error of their slip is below that share of it [1]"""
+    dynamic_slip_share: Fraction | None = None
+    """the same bound, V dt/D_c, of steps with inertia: these are halved until V dt/D_c is below it; if not given, their
+    length is that of the scene, and the log has a line where they slip over characteristic_slip; not for stepper =
+    "explicit" [1]"""
     max_events: Annotated[int, Field(strict=True, ge=0)] = 20
     """events of joints in a step that parts of it end at; later ones are taken as they fall"""
     max_cycles: Count = 50

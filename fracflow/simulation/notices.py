@@ -87,7 +87,7 @@ class Notices:
     def _far_slip(self, step: Step) -> None:
         """A line where a step with inertia slips farther than the state of friction evolves over; again at twice so far.
 
-        Collective. Such steps do not follow the rate of slip; the state is exact only for a rate that lasts.
+        Collective. Such steps follow the rate of slip where the scene asks for it; the state is exact for a rate that lasts.
         """
         state, joints = step.state, self._model.operators.joints
         # the rate of an explicit step is that of its last part
@@ -100,7 +100,8 @@ class Notices:
         if far <= max(FAR, WIDENS * self._totals.far_slip):
             return
         self._totals.far_slip = far
-        key = "dynamic_time_step" if step.regime else "time_step"
+        key = "accuracy.dynamic_slip_share = 0.1, or " if self._scene.method.stepper not in EXPLICIT else ""
+        key += "dynamic_time_step" if step.regime else "time_step"
         self._doubt(
             f"time {self._scene.time_text(state.time)}: a step with inertia slips {far:.3g} times the distance over which the"
             f" state of friction evolves: slip may be off by some per cent until it has ended, rates by more; {key} below"
