@@ -26,7 +26,6 @@ from fracflow.reduction.inertia import decide_inertia, spans
 from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations, mesh_of_events
 from fracflow.reduction.unloaded_blocks import decide_parts
-from fracflow.scene.materials import Rock
 from fracflow.scene.units import LENGTH
 
 __all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations", "mesh_of_events"]

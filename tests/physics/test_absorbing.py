@@ -16,6 +16,7 @@ from fracflow.elements.dashpot import (
 from fracflow.errors import InputError, SolveError
 from fracflow.reduction import ReductionInput, decide
 from fracflow.reduction.prepare import prepare
+from fracflow.scene.materials import Rock
 from fracflow.scene.scene import Scene, load
 
 RHO, CP, SPEED, PULSE = r03.RHO, r03.CP, r03.SPEED, r03.PULSE
