@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 
-import numpy as np
 
 from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver

@@ -318,8 +318,8 @@ def _transit(scene: Scene) -> float | None:
     if geometry is None or size is None:
         return None
     for rock in scene.rock.values():
-        if rock.density:
-            slowness = max(slowness, math.sqrt(rock.density / rock.shear_modulus))
+        if rock.s_speed:
+            slowness = max(slowness, 1.0 / rock.s_speed)
     return size / 2**geometry.refine * slowness
 
 
