@@ -126,7 +126,7 @@ class Method(StepperKeys):
     where options are given to it, and where the direct solve does not converge"""
     rock_solver: Literal["auto", "direct", "multigrid", "multipoles"] = "auto"
     """how the rock of a coupled step is solved: by a factorisation; or by multigrid with strips along the fractures, whose
-    iterations do not grow as joints slide or open. Auto takes the faster one by an estimate: multigrid from half a million
+    iterations do not grow as joints slide or open. Auto takes the faster one by an estimate: multigrid from 4e5
     displacements on, and where factors would not fit into memory. Rock that is not meshed has an entry for each two of its
     joints with direct; multipoles, which auto takes from 500 joints on, has series for joints far from each other, equal to
     1e-10, and iterations with factors of near entries"""

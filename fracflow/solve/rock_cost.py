@@ -22,6 +22,8 @@ from fracflow.scene.scene import Scene
 from fracflow.storage.files import read_text
 
 NUMBER = 8.0  # bytes
+SWIFT_TO = 400_000
+"""Displacements up to which UMFPACK takes the place of MUMPS on one rank."""
 CLEARLY = 1.5  # times less
 
 
@@ -30,6 +32,7 @@ class Shares:
     """Measured shares of a problem in the plane, or in space.
 
     operations  CPU s of the power ``grows`` of a million unknowns, in a factorisation
+    more_costly times that this takes by MUMPS, of more than ``SWIFT_TO`` unknowns: it also factors more often
     solves      CPU s of N log2 N of a million unknowns, in solves with the factors
     numbers     in both factors, of N log2 N or N^(4/3); besides, LU works with ``works`` numbers an unknown
     sets_up     CPU s of a million unknowns: small systems of multigrid, made anew in each iteration of Newton's method
@@ -40,6 +43,7 @@ class Shares:
 
     grows: float
     operations: float
+    more_costly: float
     solves: float
     numbers: float
     works: float
@@ -51,11 +55,11 @@ class Shares:
 
 
 SHARES = {
-    2: Shares(1.5, 3.3, 0.11, 10.0, 90.0, 1.6, 0.15, 88.0, 9.0, 0.05),
-    3: Shares(2.0, 1160.0, 0.25, 40.0, 90.0, 16.0, 1.7, 600.0, 15.0, 0.12),
+    2: Shares(1.5, 3.3, 2.4, 0.11, 10.0, 90.0, 1.6, 0.15, 88.0, 9.0, 0.05),
+    3: Shares(2.0, 1160.0, 1.0, 0.25, 40.0, 90.0, 16.0, 1.7, 600.0, 15.0, 0.12),
 }
-"""By dimension. Times were measured from 7e3 to 3.3e5 unknowns in the plane, 1.1e4 to 3e4 in space; memory in the plane, at
-8.9e4 and 1.5e6. ``works`` and ``holds`` in space are guesses."""
+"""By dimension. Times were measured from 7e3 to 3.3e5 unknowns in the plane, with MUMPS at 6.3e4 and 1.5e6; from 1.1e4 to
+3e4 in space, by MUMPS alone; memory in the plane, at 8.9e4 and 1.5e6. ``works`` and ``holds`` in space are guesses."""
 PROGRAM, MATRICES = 1.37e8, 120.0
 """Bytes of the program with its libraries; numbers an unknown in matrices and vectors, however the rock is solved for."""
 
@@ -87,7 +91,8 @@ def factor_numbers(unknowns: float, dim: int = 2) -> float:
 def direct(unknowns: int, dim: int = 2) -> Cost:
     """Cost by LU."""
     shares, size = SHARES[dim], unknowns / 1e6
-    seconds = shares.operations * size**shares.grows + shares.solves * size * math.log2(max(unknowns, 2))
+    operations = shares.operations * (shares.more_costly if unknowns > SWIFT_TO else 1.0)
+    seconds = operations * size**shares.grows + shares.solves * size * math.log2(max(unknowns, 2))
     numbers = factor_numbers(unknowns, dim) + shares.works * unknowns
     return Cost(seconds, without_solves(unknowns) + NUMBER * numbers)
 
