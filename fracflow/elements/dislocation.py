@@ -21,7 +21,7 @@ from fracflow.elements.shape import Floats, Ints
 Bools = NDArray[np.bool_]
 
 # distance over length, and Gauss points of a segment: errors are 1e-13 from there on
-FAR = ((40.0, 3), (10.0, 4), (3.0, 6))
+POINTS_BY_DISTANCE = ((40.0, 3), (10.0, 4), (3.0, 6))
 NEAR = ((0.5, 16), (0.1, 72), (0.0, 400))  # the same of one segment, where the integral along the other is exact
 TINY = float(np.finfo(float).tiny)
 CHUNK = 1 << 16  # pairs of segments whose points fit a processor's cache
@@ -57,7 +57,7 @@ def pair_means(ends: Floats, one: Ints, other: Ints) -> Floats:
     apart = np.linalg.norm(middle[low] - middle[high], axis=1) - half
     apart /= np.maximum(length[low], length[high])
     values, left = np.empty((len(low), 3)), np.ones(len(low), dtype=bool)
-    for least, count in FAR:
+    for least, count in POINTS_BY_DISTANCE:
         now = left & (apart > least)
         values[now] = _far(ends[low[now]], ends[high[now]], count)
         left &= ~now

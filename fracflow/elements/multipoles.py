@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fracflow.elements.cells import CellPairs, Cells, Complexes
 from fracflow.elements.shape import Floats, Ints
 
-AT_ONCE = 1 << 11  # pairs of cells whose series fit a processor's cache
+PAIRS_AT_ONCE = 1 << 11  # pairs of cells whose series fit a processor's cache
 STEP = 4  # between the orders of series
 
 
@@ -56,7 +56,7 @@ class FarJumps:
         for order in np.unique(asked[takes]):
             chosen = pairs.far[takes & (asked == order)]
             chosen = chosen[np.argsort(chosen[:, 0], kind="stable")]
-            self.groups += [(int(order), chosen[i : i + AT_ONCE]) for i in range(0, len(chosen), AT_ONCE)]
+            self.groups += [(int(order), chosen[i : i + PAIRS_AT_ONCE]) for i in range(0, len(chosen), PAIRS_AT_ONCE)]
 
     def _holding(self, leaf: Ints) -> NDArray[np.bool_]:
         """Whether each cell has hats of these leaves."""

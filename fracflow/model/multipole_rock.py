@@ -26,7 +26,7 @@ from fracflow.scene.scene import Scene
 if TYPE_CHECKING:
     from scipy import sparse
 
-SHARP = 1e-10  # of a block of K_s: what its series leaves out
+SERIES_ERROR = 1e-10  # of a block of K_s: what its series leaves out
 FROM = 500  # joints from which on near entries and series take less time and memory than all entries
 FAULTY = 1e-8  # of a product: an error that series cannot have but by a fault
 SAMPLES = 4  # walls at which the error of a product is measured
@@ -95,7 +95,7 @@ def stiffness(blocks: Blocks, scene: Scene) -> tuple[PETSc.Mat, FarRock]:
     factor, size = of_energy(scene), (last - first, total)
     entries = _interleaved(_near(walls, own), rows, walls.unknown, size)
     near = matrix_of((size, size), (entries.indptr, entries.indices, factor * entries.data), comm)
-    far = FarRock(comm, FarJumps(walls.cells, walls.pairs, _some(walls.hats, own), SHARP), rows, factor)
+    far = FarRock(comm, FarJumps(walls.cells, walls.pairs, _some(walls.hats, own), SERIES_ERROR), rows, factor)
     far.error = _error(walls, own, rows, near, far)
     return near, far
 

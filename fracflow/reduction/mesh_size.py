@@ -32,7 +32,7 @@ PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
-MOST_JOINTS = 2000  # that are proposed in rock that is not meshed: an iteration takes as long as with so many cells
+PROPOSED_JOINTS = 2000  # that are proposed in rock that is not meshed: an iteration takes as long as with so many cells
 PROPOSED = "{}, the most that are proposed,"
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
@@ -306,7 +306,7 @@ def _of_joints(
         return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []
     traces = trace_lengths(geometry)
     typical = typical_length(traces)
-    least = max(float(traces.sum()) / MOST_JOINTS, geometry.size_at_tips or 0.0)
+    least = max(float(traces.sum()) / PROPOSED_JOINTS, geometry.size_at_tips or 0.0)
     fine = max(_three_digits(typical / PER_LENGTH), geometry.size_at_tips or 0.0)
     for _ in range(ROUNDS):
         keys = snap | _keys(geometry, fine, fine, typical / PER_TIP, geometry.growth or GROWTH, traces)
@@ -321,7 +321,7 @@ def _of_joints(
         fine = finer
     told = [key for key in ("size_at_fractures", "size_at_tips") if key in keys]
     is_as_tips = fine == geometry.size_at_tips
-    most = "joints as long as geometry.size_at_tips" if is_as_tips else PROPOSED.format(f"{MOST_JOINTS} joints")
+    most = "joints as long as geometry.size_at_tips" if is_as_tips else PROPOSED.format(f"{PROPOSED_JOINTS} joints")
     return keys, [note(f"geometry.{key} = {keys[key]:g}{view.unit(LENGTH)}: {_why(key, found, most)}") for key in told]
 
 

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
 """Operators whose values are read where they are needed."""
-BY_STATE = ("jump", "network", "feedback")
-"""Parts of the pattern to whose entries joints and flow add by their state."""
-AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
+BY_STATE = ("jump", "network", "feedback")  # parts of the pattern to whose entries joints and flow add by their state
+COLUMNS_AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -128,8 +127,8 @@ class JoinedMatrix:
         """Where the entries of a part are, and their values (n,)."""
         layout, number = self.layout, (self.layout.solid_numbers if col_part == "solid" else self.layout.flow_numbers)
         starts, columns, values = matrix.getValuesCSR()
-        for begin in range(0, len(columns), AT_ONCE):
-            part = slice(begin, begin + AT_ONCE)
+        for begin in range(0, len(columns), COLUMNS_AT_ONCE):
+            part = slice(begin, begin + COLUMNS_AT_ONCE)
             columns[part] = number(columns[part])
         around = (0, layout.flow_count) if row_part == "solid" else (layout.solid_count, 0)
         return Entries(np.pad(starts, around, mode="edge"), columns), values
@@ -173,7 +172,7 @@ class JoinedMatrix:
     def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
         """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.
 
-        added  places of the parts that it adds to; what keeps fluid is added anywhere in a closure's row
+        added  places of the parts that it adds to; it also adds anywhere in a row that keeps fluid
         """
         marks = self.layout.joined_vector()
         chosen = petsc_ints(self._keeping[self._keeping >= 0])
@@ -181,8 +180,7 @@ class JoinedMatrix:
         marks.assemble()
         is_changing = np.repeat(marks.getArray(readonly=True) > 0.0, np.diff(self._starts))
         marks.destroy()
-        for places in added:
-            is_changing[places] = True
+        is_changing[np.concatenate(added)] = True
         entries = np.flatnonzero(is_changing)
         ends = np.searchsorted(entries, self._starts)
         rows = np.flatnonzero(np.diff(ends))
@@ -302,8 +300,8 @@ class JoinedMatrix:
         rows = PETSc.IS().createGeneral(self._changing[2], comm=self.layout.comm)
         part = rows_of(matrix, rows)
         row_starts, _, all_values = part.getValuesCSR()
-        here = self._changing[2] - self.layout.start
-        shift = np.repeat(row_starts[:-1] - self._starts[here], np.diff(self._changing[0]))
+        shift = row_starts[:-1] - self._starts[self._changing[2] - self.layout.start]
+        shift = np.repeat(shift, np.diff(self._changing[0]))
         values = all_values[self._changing_entries + shift]
         destroy(rows, part)
         self._insert(matrix, self._standing)

@@ -232,9 +232,9 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
 
 
 LEAST_WORTH = 2.0  # solves in the time of a factorisation: below, nothing is saved
-SHARP = 1e-5  # of the right side: what is left there costs Newton's method next to no iteration
-MOST_FAR = 100  # iterations between restarts, with factors of near entries
-WORTH_FAR = 10  # of them in the time of a factorisation
+KRYLOV_ERROR = 1e-5  # of the right side: what is left there costs Newton's method next to no iteration
+MOST_BY_NEAR = 100  # iterations between restarts, with factors of near entries
+WORTH_BY_NEAR = 10  # of them in the time of a factorisation
 LONGEST_PAUSE = 32  # changes of the matrix
 
 
@@ -285,7 +285,7 @@ class KeptFactors:
         self.begin()
         solver.setType("fgmres")
         solver.setGMRESRestart(self._most)
-        solver.setTolerances(rtol=SHARP, max_it=self._most)
+        solver.setTolerances(rtol=KRYLOV_ERROR, max_it=self._most)
 
     def begin(self) -> None:
         """A step begins: factors of the step before are dropped."""
@@ -347,8 +347,8 @@ class NearFactors:
         self._fills = -1
         self.begin()
         solver.setType("fgmres")
-        solver.setGMRESRestart(MOST_FAR)
-        solver.setTolerances(rtol=SHARP, max_it=2 * MOST_FAR)
+        solver.setGMRESRestart(MOST_BY_NEAR)
+        solver.setTolerances(rtol=KRYLOV_ERROR, max_it=2 * MOST_BY_NEAR)
         solver.setConvergenceTest(KrylovTest())
 
     def begin(self) -> None:
@@ -373,7 +373,7 @@ class NearFactors:
             self.solver.solve(given, step)
             taken += int(self.solver.getIterationNumber())
         self._usual = self._usual or taken
-        self._is_worn = taken > self._usual + WORTH_FAR
+        self._is_worn = taken > self._usual + WORTH_BY_NEAR
         return taken
 
     def destroy(self) -> None:

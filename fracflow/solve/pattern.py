@@ -18,7 +18,7 @@ from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Ints
 from fracflow.model.layout import rows_of
 
-AT_ONCE = 50_000  # rows
+ROWS_AT_ONCE = 50_000  # rows
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ class Pattern:
 
 def edges_of(rows: int, comm: MPI.Comm) -> Ints:
     """Rows (c + 1,) at which those taken at once begin, c on every rank. Collective."""
-    count = comm.allreduce(max(-(-rows // AT_ONCE), 1), op=MPI.MAX)
-    return np.minimum(np.arange(count + 1) * AT_ONCE, rows)
+    count = comm.allreduce(max(-(-rows // ROWS_AT_ONCE), 1), op=MPI.MAX)
+    return np.minimum(np.arange(count + 1) * ROWS_AT_ONCE, rows)
 
 
 def by_rows(matrix: PETSc.Mat, edges: Ints) -> Iterator[tuple[Ints, Ints, NDArray[np.float64]]]:

@@ -265,8 +265,8 @@ def between(times: Floats, values: Floats, at: Floats) -> Floats:
 def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float], by_node: bool) -> Gap:
     """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips.
 
-    A place is a node, or a fracture where both runs have nodes of their own (not ``by_node``). A section that reaches its
-    strength at the end of a step slips in this one or from the next on, by round-off.
+    A place is a node. Where both runs have nodes of their own (not ``by_node``) it is a fracture, with its first start and
+    last end. A section that reaches its strength at the end of a step slips in this one or from the next on, by round-off.
     """
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {
@@ -314,4 +314,12 @@ def by_place(ran: Ran, most: Mapping[str, float], duration: float, by_node: bool
         shares = [(row[key] or 0.0) / most[key] if most[key] else 0.0 for key in OF_EVENTS[row["kind"]]]
         about_time = np.concatenate([instants, np.maximum(instants - times[before], 0.0)]) / max(duration, 1e-300)
         tables.setdefault(place, []).append([*about_time.tolist(), *shares])
-    return {place: np.array(rows) for place, rows in tables.items()}
+    found = {place: np.array(rows) for place, rows in tables.items()}
+    return found if by_node else {place: rows if place == ("event",) else as_one(rows) for place, rows in found.items()}
+
+
+def as_one(rows: Floats) -> Floats:
+    """One row (1, n) of many: from the first start to the last end, and the longest steps. Slips are those of probes."""
+    largest = rows.max(axis=0, keepdims=True)
+    largest[:, 0], largest[:, 4:] = rows[:, 0].min(), 0.0
+    return largest

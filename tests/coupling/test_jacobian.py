@@ -253,7 +253,7 @@ def test_few_rows_at_once_make_the_same_matrix(monkeypatch):
     problem.evaluate()
     found = []
     for rows in (10**6, 7):
-        monkeypatch.setattr("fracflow.solve.pattern.AT_ONCE", rows)
+        monkeypatch.setattr("fracflow.solve.pattern.ROWS_AT_ONCE", rows)
         matrix = JoinedMatrix(model.operators, model.loads)
         filling = problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale()
         matrix.fill(*filling)

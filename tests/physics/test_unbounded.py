@@ -246,7 +246,7 @@ def test_joints_shorter_than_tips_need_have_no_size_of_tips(tmp_path):
     assert "generalised-alpha" in told and "absorbing" not in told
     proposed = with_sizes(scene, MPI.COMM_SELF)
     (told,) = [line for line in proposed.notes if "E'/k_s / 4 = 0.667" in line]
-    assert "size_at_fractures" in told and "1000 joints, the most that are proposed, do not reach it" in told
+    assert "size_at_fractures" in told and "2000 joints, the most that are proposed, do not reach it" in told
     assert proposed.geometry.size_at_tips is None
     stated = with_sizes(scene.with_geometry({"size_at_tips": 5.0}), MPI.COMM_SELF).geometry
     assert stated.size_at_fractures == stated.size_at_tips == 5.0  # as a scene that states both must have them

@@ -31,11 +31,11 @@ def test_a_scene_of_meshes():
 
 
 def test_a_random_scene_in_wide_rock():
-    """Without sides and mesh, in less time; a mesh twice as fine decides where the scene's own errs more than that."""
-    found = twins(Scene.from_data(wide(29, joints=64), Path("wide.toml")))
+    """Without sides and mesh, in less time, and nearer to a mesh twice as fine than the scene's own mesh is."""
+    found = twins(Scene.from_data(wide(29, joints=32), Path("wide.toml")))
     assert not found.full.failure and found.full.has_cells and not found.reduced.has_cells
-    assert found.ratio <= 1.0, found.worst
-    assert found.coarse is None or found.coarse > found.tolerance
+    assert found.coarse is not None and found.tolerance < found.coarse
+    assert max(gap.error for gap in found.gaps.values()) < found.coarse
     assert found.reduced.seconds < found.full.seconds
 
 
