@@ -134,7 +134,7 @@ def moments_of(points: Floats, walls: ContactNodes, mass: Floats, piece: Ints, c
 
 
 def balanced(comm: MPI.Comm, points: Floats, mass: Floats, piece: Ints, moments: Moments) -> tuple[Floats, Bools]:
-    """What to add to the masses (n, 2, 2) of nodes inside the blocks to keep first moments, and the blocks (p,) that can.
+    """Masses (n, 2, 2) that nodes inside the blocks gain to keep first moments, and the blocks (p,) that can.
 
     points (n, 2), mass (n,) and piece (n,) are those of this rank's nodes inside; ``moments`` are the same on all ranks.
 

@@ -33,7 +33,7 @@ def sent(prefix: Path) -> list[tuple[int, int]]:
 
 
 def counted(way: str, scene: Path, ranks: int, out: Path) -> tuple[list[tuple[int, int]], dict[str, float]]:
-    """What each rank has sent in a run, and what the run was like."""
+    """Messages and bytes that each rank has sent in a run, and facts of the run."""
     prefix = out / f"sent-{scene.stem}-{ranks}"
     settings = {"enable": "1", "enable_output": "3", "filename": str(prefix)}
     given = {f"OMPI_MCA_pml_monitoring_{key}": value for key, value in settings.items()}
