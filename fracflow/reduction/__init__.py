@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 
-
 from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
