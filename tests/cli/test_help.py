@@ -75,7 +75,7 @@ def test_petsc_prints_its_own_table_of_a_run(tmp_path):
     done = subprocess.run([sys.executable, "-m", "fracflow", *words], capture_output=True, text=True, check=True)
     assert "SNESFunctionEval" in done.stdout and done.stderr == ""
     for stage in ("Set up", "Steps", "Output"):
-        assert re.search(rf"^ *\d+: +{stage}: [\d.e-]+ ", done.stdout, re.MULTILINE), stage
+        assert re.search(rf"^ *\d+: +{stage}: [\d.e+-]+ ", done.stdout, re.MULTILINE), stage
     counts = {name: int(count) for name, count in re.findall(r"^(\w+) +(\d+) 1\.0 ", done.stdout, re.MULTILINE)}
     assert counts["FracOutput"] > counts["FracStep"] > 0 and counts["FracSetUp"] == 1
     assert (
