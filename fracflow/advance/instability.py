@@ -151,7 +151,7 @@ def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | 
 def _critical(model: Model, joint: int, fall: float) -> float | None:
     assert model.mesh is not None
     joints = gather(model.scene, model.mesh, model.placed.wells)
-    length = critical_length(joints.shear_modulus[joint], joints.layer[joint], fall)
+    length = critical_length(joints.mode_2_modulus[joint], joints.layer[joint], fall)
     return float(length) if np.isfinite(length) else None
 
 

@@ -7,6 +7,7 @@ far is given.
 
 from __future__ import annotations
 
+import math
 import threading
 import time as clock
 from collections.abc import Callable, Mapping
@@ -247,7 +248,9 @@ def inside(work: Work | None, seconds: float, least: float) -> str:
     """Where the solve of a step is that has lasted for some seconds, in words; empty where they are below the least."""
     if seconds < least:
         return ""
-    solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance" if work is not None else ""
+    solve = ""  # of explicit steps, and before the first balance
+    if work is not None and math.isfinite(work.unbalanced):
+        solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance"
     return f", and this for {spoken(seconds)}{solve}"
 
 

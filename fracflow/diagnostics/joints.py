@@ -36,7 +36,7 @@ class CheckJoints:
     state_length     (j, 2) D_c of that friction; else inf [length]
     state, steady    (j, 2) its theta at the start [time], and V theta/D_c, 1 of steady slip; else NaN
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
-    shear_modulus    mu* = G/(1 - nu), likewise [stress]
+    mode_2_modulus   mu* = G/(1 - nu) of slip in the plane, likewise [stress]
     layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
                      [stress length]
     shear_speed      (j, 2) c_s of the rock below and above; inf of a rigid one [length/time]
@@ -66,7 +66,7 @@ class CheckJoints:
     state: Floats
     steady: Floats
     modulus: Floats
-    shear_modulus: Floats
+    mode_2_modulus: Floats
     layer: Floats
     shear_speed: Floats
     softer: Floats
@@ -101,7 +101,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
         direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
         laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
-        modulus=2.0 * _in_series(beside["modulus"]), shear_modulus=2.0 * _in_series(beside["shear_modulus"]),
+        modulus=2.0 * _in_series(beside["modulus"]), mode_2_modulus=2.0 * _in_series(beside["mode_2_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
         shear_speed=beside["shear_speed"], softer=_of_slower(beside["shear_speed"], beside["shear"]),
         impedance=_in_series(beside["impedance"]),
@@ -197,7 +197,7 @@ def rock_values(scene: Scene, rocks: Sequence[str]) -> dict[str, Floats]:
     shear = shear_modulus(young, nu)
     return {
         "modulus": plane_strain_modulus(young, nu),
-        "shear_modulus": shear / (1.0 - nu),
+        "mode_2_modulus": shear / (1.0 - nu),
         "shear": shear,
         "shear_speed": np.sqrt(shear / density),
         "impedance": density * wave,

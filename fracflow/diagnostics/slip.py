@@ -71,7 +71,7 @@ def _weakening(view: CheckInput, joint: int) -> str:
     if not drop > 0.0:
         return ""
     length = joints.length[joint]
-    rigid = max(ZONE / COHESIVE, PATCH / UNSTABLE) * length * drop / joints.shear_modulus[joint]
+    rigid = max(ZONE / COHESIVE, PATCH / UNSTABLE) * length * drop / joints.mode_2_modulus[joint]
     distance = max(rigid, (ZONE * length) ** 2 * drop / joints.layer[joint])
     keys = [law.weakens_over for law in JOINT_LAWS.values() if law.weakens_over]
     return f", or a law that weakens with slip, {' or '.join(keys)} above {distance:.2g}{view.unit(LENGTH)}"
@@ -81,7 +81,9 @@ def _lengths(view: CheckInput, factor: float, of_layer: float) -> Floats:
     """The smaller of factor mu* D_c/dtau and, in a layer, of_layer sqrt(E' D D_c/dtau) (j, 2); NaN where nothing weakens."""
     joints = view.joints
     ratio = joints.distance / np.where(view.weakens, joints.drop, 1.0)
-    each = np.minimum(factor * joints.shear_modulus[:, None] * ratio, of_layer * np.sqrt(joints.layer[:, None] * ratio))
+    each = np.minimum(
+        factor * joints.mode_2_modulus[:, None] * ratio, of_layer * np.sqrt(joints.layer[:, None] * ratio)
+    )
     return np.where(view.weakens, each, np.nan)
 
 
@@ -164,7 +166,7 @@ def _state_lengths(view: CheckInput) -> tuple[Floats, Floats]:
     joints = view.joints
     b, weakens = joints.evolution, joints.evolution > joints.direct
     with np.errstate(divide="ignore", invalid="ignore"):
-        each = np.where(b > 0.0, joints.shear_modulus[:, None] * joints.state_length / b, np.nan)
+        each = np.where(b > 0.0, joints.mode_2_modulus[:, None] * joints.state_length / b, np.nan)
         longest = np.where(weakens, 2.0 / np.pi * each * (b / (b - joints.direct)) ** 2, np.nan)
     return np.where(np.isfinite(each), each, np.nan), np.where(np.isfinite(longest), longest, np.nan)
 

@@ -46,7 +46,7 @@ class Dilatant(JointLaw):
     is evaluated at an opening by dilation that its own slip brings about, found section by section. The more the walls ride
     up, the less they slip: there is one such opening, and Newton's method has it between two bounds.
 
-    Walls in contact ride up while they move apart: a section parts once it moves apart by more than the slip without any
+    Walls in contact ride up while they move apart. A section parts once it moves apart by more than slip without any
     strength lifts it, so that its traction falls to zero continuously. Walls that have parted touch again at u.
 
     History: that of the law, ``dilation`` u [length], ``ridden`` s [length], and ``apart``, 1 where the walls have parted.

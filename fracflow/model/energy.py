@@ -173,7 +173,7 @@ def dissipated(before: Sections, after: Sections) -> Floats:
 def work_missed(weights: Floats, before: Sections, after: Sections) -> float:
     """(2.27b) Work of friction that its mean over a step misses on this rank's sections whose slip turns in the step.
 
-    There the shear traction that the step begins with is against the slip of the step: its half of the mean gives energy
+    There the shear traction that the step begins with is against the slip of the step. Its half of the mean gives energy
     back, where friction takes it all along [energy per thickness].
 
     weights  (s,) length or area that each section stands for

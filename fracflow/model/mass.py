@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,25 +25,6 @@ if TYPE_CHECKING:
 MOST_VECTORS = 120  # of Lanczos
 SHARP = 1e-13  # relative, of the eigenvalue
 PASSES = 2  # in which the stable step is found with D: none is above it
-
-Solve = Callable[[Floats], Floats]
-
-
-def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
-    """(M + dt/2 C)^-1 of this rank's unknowns (n,), ``half`` = dt/2; nothing where held. Collective."""
-    from scipy import sparse  # imports much
-    from scipy.sparse.linalg import splu
-
-    matrix = operators.mass.copy()
-    assert operators.damping is not None
-    matrix.axpy(half, operators.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    local = _own_block(matrix)
-    matrix.destroy()
-    free = np.ones(local.shape[0])
-    free[held] = 0.0
-    kept = sparse.diags(free) @ local @ sparse.diags(free) + sparse.diags(1.0 - free)
-    factors = splu(kept.tocsc(), permc_spec="NATURAL")  # blocks of single nodes and rigid bodies
-    return lambda force: np.asarray(factors.solve(force * free))
 
 
 def _own_block(matrix: PETSc.Mat) -> sparse.csr_matrix:

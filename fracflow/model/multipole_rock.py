@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 SERIES_ERROR = 1e-10  # of a block of K_s: what its series leaves out
-FROM = 500  # joints from which on near entries and series take less time and memory than all entries
+MULTIPOLES_FROM = 500  # joints from which on near entries and series take less time and memory than all entries
 FAULTY = 1e-8  # of a product: an error that series cannot have but by a fault
 SAMPLES = 4  # walls at which the error of a product is measured
 MOST_DENSE = 5000  # joints whose entries are all stored: 1e8 of them
@@ -76,7 +76,7 @@ def by_multipoles(scene: Scene, joints: int) -> bool:
     if not scene.is_unbounded or method.rock_solver == "multipoles":
         return scene.is_unbounded
     if method.rock_solver == "auto" and method.coupling not in ("fixed-point", "condensed"):
-        return joints > FROM
+        return joints > MULTIPOLES_FROM
     if joints > MOST_DENSE:
         key, value = ("coupling", method.coupling) if method.rock_solver == "auto" else ("rock_solver", "direct")
         raise InputError(

@@ -19,10 +19,11 @@ from dataclasses import asdict, replace
 from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
+from fracflow.reduction.event_mesh import mesh_of_events
 from fracflow.reduction.far_sides import decide_sides
 from fracflow.reduction.inertia import decide_inertia, spans
 from fracflow.reduction.locked_fractures import decide_locked
-from fracflow.reduction.solver import factorisations, mesh_of_events
+from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
 from fracflow.scene.units import LENGTH
 

@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics.joints import rock_values
 from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH, side_names
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
+from fracflow.output.remarks import MESH_OF_EVENTS
+from fracflow.reduction.decision import Decision
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths
 from fracflow.reduction.unresolved import unresolved
 from fracflow.remarks import note
@@ -77,7 +78,7 @@ def period_of_event(scene: Scene, bounded: Scene | None = None) -> float:
     """Longest period of S waves in the box of that mesh between sides that stay where they are [time]; ``bounded`` as above."""
     geometry = event_scene(scene, bounded).geometry
     assert geometry is not None
-    speed = float(rock_values(scene, tuple(scene.rock))["shear_speed"].max())
+    speed = max(rock.s_speed for rock in scene.rock.values())
     return float(2.0 / (speed * np.hypot(*(1.0 / np.ptp(np.array(geometry.outline), axis=0)))))
 
 
@@ -93,7 +94,7 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     points = np.array([point for trace in geometry.fracture for point in trace.points])
     extent, margin = float(np.ptp(points, axis=0).max()), geometry.event_margin
     beside = MARGIN * extent if margin is None else margin
-    held = f"absorbing sides (geometry.event_margin), which change its slip and opening by up to {nearness(extent, beside):.2g}"
+    held = f"absorbing sides (geometry.event_margin), which change its slip and opening by about {nearness(extent, beside):.2g}"
     sides = f"with {held if bounded is None else 'the sides of the scene'}"
     near = []
     if bounded is None and margin is not None and margin < extent:
@@ -116,6 +117,14 @@ def nearness(extent: float, margin: float) -> float:
     Without inertia held sides take 0.3 to 0.5 times that of the slip of one crack. Of its opening they take 0.8 to 1.3 times.
     """
     return (0.5 * extent / max(margin, 0.5 * extent)) ** 2
+
+
+def mesh_of_events(when: str, why: str, cells: int, nodes: int) -> Decision:
+    """The record of a run whose rock was not meshed until an event needed it."""
+    return Decision(
+        MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes, made at time {when}",
+        "made at the first one", "none", f"nothing: {why}",
+    )  # fmt: skip
 
 
 def with_event_mesh(

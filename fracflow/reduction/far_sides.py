@@ -17,7 +17,7 @@ from fracflow.errors import ReductionInvalid
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
-from fracflow.model.multipole_rock import FROM
+from fracflow.model.multipole_rock import MULTIPOLES_FROM
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
@@ -48,15 +48,15 @@ def one_obstacle(scene: Scene) -> list[str]:
     """A line on the one thing, but inertia, that keeps the mesh of a scene with far sides, where that costs time; else none."""
     if scene.geometry is None or scene.is_unbounded or not scene.geometry.fracture or scene.model != "default":
         return []
-    found, (meshed, dense) = list(_obstacles(scene)), _cpu(scene)
+    found, (meshed, without) = list(_obstacles(scene)), _cpu(scene)
     if (
         len(found) != 1
         or any(stage.kind == "dynamic" for stage in scene.stage)
         or estimated(scene) >= _tolerance(scene)
-        or meshed < max(LEAST, CLEARLY * dense)
+        or meshed < max(LEAST, CLEARLY * without)
     ):
         return []
-    faster = f"else an iteration would be some {meshed / max(dense, 1e-3):.2g} times faster"
+    faster = f"else an iteration would be some {meshed / max(without, 1e-3):.2g} times faster"
     return [note(f"one thing keeps the mesh of the rock, whose sides are far: {found[0]}; {faster}")]
 
 
@@ -154,7 +154,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
     cells = graded_count(size, fine, polygon_area(corners), float(lengths.sum()), growth)
     joints = float(lengths.sum()) / fine + TIPPED * len(lengths)
     is_free = scene.fluid is not None and not any(well.pressure is not None for well in scene.well)
-    return direct(int(cells)).seconds, np.inf if joints > FROM and is_free else unmeshed(joints)
+    return direct(int(cells)).seconds, np.inf if joints > MULTIPOLES_FROM and is_free else unmeshed(joints)
 
 
 def assessed(scene: Scene) -> FarSides | None:
@@ -163,11 +163,11 @@ def assessed(scene: Scene) -> FarSides | None:
         return None
     if why := why_meshed(scene):
         return FarSides(why=why)
-    error, (meshed, dense) = estimated(scene), _cpu(scene)
+    error, (meshed, without) = estimated(scene), _cpu(scene)
     why = "" if error < _tolerance(scene) else "the sides are too near"
-    if not why and (meshed < LEAST or meshed < CLEARLY * dense):
-        why = f"an iteration takes some {meshed:.1g} CPU s with a mesh, and {dense:.1g} s without"
-    return FarSides(error, meshed / max(dense, 1e-3), why)
+    if not why and (meshed < LEAST or meshed < CLEARLY * without):
+        why = f"an iteration takes some {meshed:.1g} CPU s with a mesh, and {without:.1g} s without"
+    return FarSides(error, meshed / max(without, 1e-3), why)
 
 
 def _tolerance(scene: Scene) -> float:

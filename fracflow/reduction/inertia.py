@@ -13,7 +13,6 @@ from math import isfinite, pi
 import numpy as np
 
 from fracflow.integrators import EXPLICIT
-from fracflow.laws import JOINT_LAWS
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.scene.boundary import Stage
 from fracflow.scene.quantities import probed
@@ -63,7 +62,7 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
         return "a start that is not at rest"
     if any(stage.kind == "dynamic" for stage in earlier):
         return "the stage before has inertia"
-    if any(JOINT_LAWS[table.law].creeps for table in scene.fracture.values()):
+    if scene.creeps:
         return "a fracture that creeps, where steps follow the rate of slip"
     rates = {name for name, row in probed().items() if row.is_rate}
     for probe in scene.probe:

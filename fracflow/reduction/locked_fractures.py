@@ -25,7 +25,6 @@ from math import hypot, inf
 
 import numpy as np
 
-from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.reduction.decision import Decision, LockedFractures, ReductionInput
 from fracflow.scene.scene import Scene
@@ -99,7 +98,7 @@ def why_none(facts: ReductionInput) -> str:
         return f"{facts.unknowns} displacements are solved for in no time, below {LEAST}"
     if scene.initial is not None or scene.equilibrates or scene.carries_unbalanced:
         return "a start that is not at rest"
-    if any(JOINT_LAWS[table.law].creeps for table in scene.fracture.values()):
+    if scene.creeps:
         return "a fracture that creeps"
     if scene.output.fields_every:
         return "output.fields_every asks for the fields of all of them"

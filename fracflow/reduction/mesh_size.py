@@ -95,7 +95,7 @@ def shortest_period(tables: Iterable[TimeTable], start: float, end: float) -> fl
 
 
 def cell_count(size: float, fine: float, area: float, length: float, growth: float) -> float:
-    """Triangles of a mesh of ``size`` that is ``fine`` along fractures of a length, and grows from there: an upper estimate.
+    """Triangles of a mesh of ``size`` that is ``fine`` along fractures of a length, and grows from there to both sides.
 
     Around a line, 2 L times the integral of 1/(h + g r)^2 is 2 L/(g h).
     """

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import inf, isfinite
 
-from fracflow.output.remarks import MESH_OF_EVENTS
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import reduced
 from fracflow.scene.scene import Scene
@@ -60,12 +59,4 @@ def factorisations(solves: int, made: int) -> Decision:
         "factorisations", made < solves, "matrix the same, or old factors serve",
         f"{made} factorisations in {solves} Newton iterations", "1 while nothing changes state", "none",
         f"{max(solves - made, 0)} factorisations",
-    )  # fmt: skip
-
-
-def mesh_of_events(when: str, why: str, cells: int, nodes: int) -> Decision:
-    """The record of a run whose rock was not meshed until an event needed it."""
-    return Decision(
-        MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes, made at time {when}",
-        "made at the first one", "none", f"nothing: {why}",
     )  # fmt: skip

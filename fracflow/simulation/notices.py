@@ -111,7 +111,7 @@ class Notices:
     def _turning(self, step: Step) -> None:
         """A line, once, where slip turns from step to step, as a motion that steps do not resolve drives it.
 
-        Nothing damps it where the rule of the step does not: each turn gives energy back that friction would have taken, and
+        Nothing damps it where the rule of the step does not. Each turn gives energy back that friction would have taken, and
         walls that dilate ride up further. Slip goes on where it had stopped.
         """
         totals, friction = self._totals, step.state.energy["friction"]
@@ -121,7 +121,7 @@ class Notices:
         totals.turning = 1
         key = "dynamic_time_step" if step.regime else "time_step"
         self._doubt(
-            f"time {self._scene.time_text(step.state.time)}: slip turns back within single steps, and friction misses"
+            f"time {self._scene.time_text(step.state.time)}: slip reverses within single steps, and friction misses"
             f" {totals.missed / max(friction, totals.missed):.1g} of its work: later results may be wrong, as slip may go on by"
             f' itself; {key} below {self._scene.time_text(0.5 * step.dt, 2)}, or method.stepper = "generalised-alpha" with'
             " rho_infinity = 0.5"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from fracflow._petsc import PETSc
 from fracflow.errors import InputError
-from fracflow.solve.rock_cost import SWIFT_TO, RockChoice
+from fracflow.solve.rock_cost import SWIFT_FROM, SWIFT_TO, RockChoice
 
 Value = str | float | int | bool
 
@@ -77,11 +77,6 @@ _FRACTURED: dict[str, Value] = {
 }
 MULTIGRID: dict[str, dict[str, Value]] = {"monolithic": _FRACTURED, "solid": _FRACTURED}
 """Options that take the place of those above in large scenes."""
-
-
-SWIFT_FROM = 1_000
-"""Displacement unknowns from which on, up to ``SWIFT_TO``, UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5
-unknowns it factors in the same time, and solves in a fifth to a third of it (scripts/bench iteration)."""
 
 _UMFPACK: dict[str, Value] = {"pc_factor_mat_solver_type": "umfpack"}
 _SMALL_PARTS: dict[str, dict[str, Value]] = {

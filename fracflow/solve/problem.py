@@ -54,7 +54,7 @@ class Work:
     """Evaluations of both balances and factorisations, whatever became of the trials that they were made for.
 
     iteration   of Newton's method in the trial under way
-    unbalanced  its share of forces or flow that is out of balance, the larger one
+    unbalanced  its share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
     """
 
     evaluations: int = 0

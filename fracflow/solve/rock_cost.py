@@ -16,14 +16,15 @@ from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.model.multipole_rock import FROM
+from fracflow.model.multipole_rock import MULTIPOLES_FROM
 from fracflow.scene.method import Method
 from fracflow.scene.scene import Scene
 from fracflow.storage.files import read_text
 
 NUMBER = 8.0  # bytes
-SWIFT_TO = 400_000
-"""Displacements up to which UMFPACK takes the place of MUMPS on one rank."""
+SWIFT_FROM, SWIFT_TO = 1_000, 400_000
+"""Displacements between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 it factors in the same time,
+and solves in a fifth to a third of it (scripts/bench iteration)."""
 CLEARLY = 1.5  # times less
 
 
@@ -31,14 +32,14 @@ CLEARLY = 1.5  # times less
 class Shares:
     """Measured shares of a problem in the plane, or in space.
 
-    operations  CPU s of the power ``grows`` of a million unknowns, in a factorisation
-    more_costly times that this takes by MUMPS, of more than ``SWIFT_TO`` unknowns: it also factors more often
-    solves      CPU s of N log2 N of a million unknowns, in solves with the factors
-    numbers     in both factors, of N log2 N or N^(4/3); besides, LU works with ``works`` numbers an unknown
-    sets_up     CPU s of a million unknowns: small systems of multigrid, made anew in each iteration of Newton's method
-    iterates    CPU s of a million unknowns in an iteration of FGMRES
-    holds       numbers an unknown in its grids, small systems and vectors
-    iterations  of FGMRES with a million unknowns, and ``more`` the power of N by which they grow
+    operations   CPU s of the power ``grows`` of a million unknowns, in a factorisation
+    more_costly  times as long that takes by MUMPS, of more than ``SWIFT_TO`` unknowns; it also factors more often
+    solves       CPU s of N log2 N of a million unknowns, in solves with the factors
+    numbers      in both factors, of N log2 N or N^(4/3); besides, LU works with ``works`` numbers an unknown
+    sets_up      CPU s of a million unknowns: small systems of multigrid, made anew in each iteration of Newton's method
+    iterates     CPU s of a million unknowns in an iteration of FGMRES
+    holds        numbers an unknown in its grids, small systems and vectors
+    iterations   of FGMRES with a million unknowns, and ``more`` the power of N by which they grow
     """
 
     grows: float
@@ -55,11 +56,18 @@ class Shares:
 
 
 SHARES = {
-    2: Shares(1.5, 3.3, 2.4, 0.11, 10.0, 90.0, 1.6, 0.15, 88.0, 9.0, 0.05),
-    3: Shares(2.0, 1160.0, 1.0, 0.25, 40.0, 90.0, 16.0, 1.7, 600.0, 15.0, 0.12),
-}
-"""By dimension. Times were measured from 7e3 to 3.3e5 unknowns in the plane, with MUMPS at 6.3e4 and 1.5e6; from 1.1e4 to
-3e4 in space, by MUMPS alone; memory in the plane, at 8.9e4 and 1.5e6. ``works`` and ``holds`` in space are guesses."""
+    2: Shares(
+        grows=1.5, operations=3.3, more_costly=2.4, solves=0.11, numbers=10.0, works=90.0,
+        sets_up=1.6, iterates=0.15, holds=88.0, iterations=9.0, more=0.05,
+    ),
+    3: Shares(
+        grows=2.0, operations=1160.0, more_costly=1.0, solves=0.25, numbers=40.0, works=90.0,
+        sets_up=16.0, iterates=1.7, holds=600.0, iterations=15.0, more=0.12,
+    ),
+}  # fmt: skip
+"""By dimension. Times were measured from 7e3 to 3.3e5 unknowns in the plane, with MUMPS at 6.3e4 and 1.5e6. In space they
+were from 1.1e4 to 3e4, by MUMPS alone. Memory was measured in the plane, at 8.9e4 and 1.5e6. ``works`` and ``holds`` in space
+are guesses."""
 PROGRAM, MATRICES = 1.37e8, 120.0
 """Bytes of the program with its libraries; numbers an unknown in matrices and vectors, however the rock is solved for."""
 
@@ -100,7 +108,7 @@ def direct(unknowns: int, dim: int = 2) -> Cost:
 def unmeshed(joints: float) -> float:
     """CPU s of an iteration of Newton's method in rock that is not meshed, by all entries or by multipoles."""
     thousands = joints / 1e3
-    return BY_SERIES * thousands if joints > FROM else BY_ENTRIES * thousands**1.5
+    return BY_SERIES * thousands if joints > MULTIPOLES_FROM else BY_ENTRIES * thousands**1.5
 
 
 def iterations(unknowns: int, dim: int = 2) -> float:

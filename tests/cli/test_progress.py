@@ -13,13 +13,13 @@ import pytest
 from malformed import SCENE
 from rich.console import Console
 
-from fracflow.cli.progress import Pace, RunProgress, Screen, spoken
+from fracflow.cli.progress import Pace, RunProgress, Screen, inside, spoken
 from fracflow.cli.run import run_with_progress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
-from fracflow.solve.problem import Work
+from fracflow.solve.problem import StepProblem, Work
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
 AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)
@@ -245,11 +245,19 @@ def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
 
 
 @pytest.mark.serial
-def test_a_run_is_followed_into_its_steps(tmp_path, comm):
-    found = []
+def test_a_run_is_followed_into_its_steps(tmp_path, comm, monkeypatch):
+    """While a step is solved; afterwards, as in explicit steps, there is no iteration."""
+    found, seen, destroy = [], [], StepProblem.destroy
+
+    def ended(problem):
+        seen.append((problem.work, problem.work.iteration, problem.work.unbalanced))
+        destroy(problem)
+
+    monkeypatch.setattr(StepProblem, "destroy", ended)
     run(
         small(tmp_path, comm),
         tmp_path / "out",
         progress=RunProgress(small(tmp_path, comm), lambda *_: None, on_work=found.append),
     )
-    assert found[0].iteration > 0 and found[0].unbalanced < 1e-6
+    assert seen and all(work is found[0] and count > 0 and left < 1e-6 for work, count, left in seen)
+    assert inside(found[0], 7.0, 5.0) == ", and this for 7 s"

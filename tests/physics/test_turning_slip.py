@@ -1,4 +1,4 @@
-"""Slip that turns back within single steps: friction takes too little then, and the run says so."""
+"""Slip that reverses within single steps: friction takes too little then, and the run says so."""
 
 from types import SimpleNamespace
 
@@ -76,6 +76,4 @@ def test_a_fault_whose_slip_turns_from_step_to_step_is_told(run_scene, shared_tm
         return
     slip, rate = found.probe("middle", "slip"), found.probe("middle", "velocity")
     assert (np.abs(rate[-5:]).max() > 0.3) == (rule == "newmark"), (slip, rate)
-    assert ("slip turns back within single steps" in (shared_tmp / "run1" / "log.txt").read_text()) == (
-        rule == "newmark"
-    )
+    assert ("slip reverses within single steps" in (shared_tmp / "run1" / "log.txt").read_text()) == (rule == "newmark")
