@@ -21,13 +21,13 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import matrix_of
 from fracflow.model.unbounded import of_energy
 from fracflow.remarks import note
+from fracflow.scene.method import MULTIPOLES_FROM
 from fracflow.scene.scene import Scene
 
 if TYPE_CHECKING:
     from scipy import sparse
 
 SERIES_ERROR = 1e-10  # of a block of K_s: what its series leaves out
-MULTIPOLES_FROM = 500  # joints from which on near entries and series take less time and memory than all entries
 FAULTY = 1e-8  # of a product: an error that series cannot have but by a fault
 SAMPLES = 4  # walls at which the error of a product is measured
 MOST_DENSE = 5000  # joints whose entries are all stored: 1e8 of them

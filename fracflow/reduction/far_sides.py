@@ -17,12 +17,12 @@ from fracflow.errors import ReductionInvalid
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
-from fracflow.model.multipole_rock import MULTIPOLES_FROM
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
 from fracflow.remarks import note
+from fracflow.scene.method import MULTIPOLES_FROM
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.solve.rock_cost import direct, unmeshed

@@ -36,6 +36,7 @@ Size = Annotated[float, Quantity(LENGTH, above=0.0)]
 MOST_REFINED = 12
 Refine = Annotated[int, Field(strict=True, ge=0, le=MOST_REFINED)]
 REFINED = "times that every cell of the mesh is cut in four like ones, which leaves its nodes where they are"
+MULTIPOLES_FROM = 500  # joints of unmeshed rock from which on near entries and series take less than all entries
 
 
 def _option(value: object) -> object:

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.model.multipole_rock import MULTIPOLES_FROM
-from fracflow.scene.method import Method
+from fracflow.scene.method import MULTIPOLES_FROM, Method
 from fracflow.scene.scene import Scene
 from fracflow.storage.files import read_text
 
