@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time as clock
 from collections.abc import Callable, Mapping
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -247,7 +248,8 @@ def inside(work: Work | None, seconds: float, least: float) -> str:
     """Where the solve of a step is that has lasted for some seconds, in words; empty where they are below the least."""
     if seconds < least:
         return ""
-    solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance" if work is not None else ""
+    has_begun = work is not None and isfinite(work.unbalanced)  # no balance is known before the first iteration
+    solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance" if work and has_begun else ""
     return f", and this for {spoken(seconds)}{solve}"
 
 
