@@ -194,7 +194,7 @@ class InSmallStrains:
     """Ends a stage of which ``left`` trials had no linear solution, while pressures strained the rock beyond the model.
 
     Gaps and stiffnesses then span more digits than a double has. Later steps would fail likewise, half after half, towards
-    results that are said to be meaningless.
+    results that are said to be meaningless. Trials count from the start of the stage, or from a resume.
     """
 
     inner: Advance
@@ -210,7 +210,7 @@ class InSmallStrains:
             self.left -= bool(why)
             if self.left > 0:
                 raise
-            failed = f"{str(error).partition('; ')[0]}, as {MOST_UNSOLVED - 1} times before"
+            failed = f"{str(error).partition('; ')[0]}, for the {MOST_UNSOLVED}th time"
             raise SolveError(f"{failed}: {why}", error.newton, error.trials + 1) from error
 
 

@@ -43,10 +43,16 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
     scene = facts.scene
     sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     ratios = {rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None}
-    lasts = sum(end - start for _, stage, start, end in spans(scene) if stage.kind == "dynamic")
+    known = [(stage, end - start) for _, stage, start, end in spans(scene)]
+    is_known = len(known) == len(scene.stage) and not any(stage.kind == "auto" for stage, _ in known)  # events are not
+    lasts = sum(length for stage, length in known if stage.kind == "dynamic") if is_known else 0.0
     fast = max((rock.p_speed for rock in scene.rock.values()), default=0.0)
     far = f"{dashpot.silent_distance(fast, lasts):.3g}{scene.unit_system.behind(LENGTH)}"
-    remedy = f"move it {far} away, from where nothing is back before the end," if lasts else "move it away,"
+    remedy = (
+        f"put it {far} from what slips and probes, so that nothing is back before the end,"
+        if lasts
+        else "move it away,"
+    )
     for ratio in sorted(ratios) if sides and scene.has_dynamics else ():
         of_p, of_s = (dashpot.energy_over_directions(ratio, kind) for kind in ("p", "s"))
         yield Decision(

@@ -106,13 +106,14 @@ def _idle(scene: Scene) -> Iterator[str]:
 
 
 def _timeless(scene: Scene) -> Iterator[str]:
-    """Steady stages that take no time, in which friction of rate and state lets nothing slip."""
+    """Steady stages that take no time, or search a limit, in which friction of rate and state lets nothing slip."""
     creeping = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].creeps]
     for stage in scene.stage if creeping else ():
-        if stage.kind == "steady" and stage.until is None and not stage.time_step:
+        if stage.kind == "steady" and (stage.until is not None or not stage.time_step):
+            remedy = "the limit found is that of the other fractures" if stage.until is not None else "give time_step"
             yield (
                 f"stage {stage.title}: takes no time, in which fracture.{creeping[0]} does not slip, however large its shear"
-                ' traction: law = "rate-and-state" slips at a rate; give time_step'
+                f' traction: law = "rate-and-state" slips at a rate; {remedy}'
             )
 
 

@@ -171,7 +171,8 @@ class Tables(TablesOfLaws):
     def time_text(self, time: float, digits: int = 6) -> str:
         """A time [time] with the unit that the author uses, or else one that suits it."""
         factor, unit = stated_time(self.output.time_unit, time) or suited_time(self.unit_system.time, time)
-        return f"{factor * time:.{digits}g} {unit}".rstrip()
+        before = len(str(int(abs(factor * time)))) if abs(factor * time) < 1e15 else 0
+        return f"{factor * time:.{max(digits, before)}g} {unit}".rstrip()
 
     def with_time_units(self, line: str) -> str:
         """A line for the log whose plain times, as in ``time 453600: ...``, have got the unit of ``time_text``."""

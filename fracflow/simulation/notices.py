@@ -123,8 +123,8 @@ class Notices:
         self._doubt(
             f"time {self._scene.time_text(step.state.time)}: slip reverses within single steps, and friction misses"
             f" {totals.missed / max(friction, totals.missed):.1g} of its work: later results may be wrong, as slip may go on by"
-            f' itself; {key} below {self._scene.time_text(0.5 * step.dt, 2)}, or method.stepper = "generalised-alpha" with'
-            " rho_infinity = 0.5"
+            f' itself; method.stepper = "generalised-alpha" with rho_infinity = 0.5, or {key} of about'
+            f" {self._scene.time_text(0.25 * step.dt, 2)}"
         )
 
     def _limits(self, state: State) -> None:

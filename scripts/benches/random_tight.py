@@ -19,7 +19,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.step import Step
-from fracflow.errors import InputError, SolveError
+from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output import read_history
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
@@ -136,6 +136,8 @@ def end_of(seed: int, folder: Path) -> End:
             what = "named" if any(name in why for name in NAMES) else "NOT NAMED"
             if isinstance(error, InputError):  # no run: there is nothing to read
                 return End(seed, closure, lift, f"{what} (input)", why)
+        except Interrupted:  # by a signal: the bench ends
+            raise
         except Exception as error:  # what must not happen is counted too
             return End(seed, closure, lift, "CRASHED", f"{type(error).__name__}: {error}")
     history = read_history(folder / "run" / "history.h5")

@@ -242,6 +242,7 @@ def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
         time.sleep(0.1)
     said = capfd.readouterr().err.splitlines()[-1]
     assert said.endswith("step 4 of 10, and this for 0 s at Newton iteration 7, 3.1e-05 out of balance")
+    assert inside(Work(), 9.0, 5.0) == ", and this for 9 s"  # nothing is known of a first iteration under way
 
 
 @pytest.mark.serial

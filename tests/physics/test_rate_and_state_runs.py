@@ -207,6 +207,17 @@ def test_stages_without_time_are_told_or_refused(tmp_path):
     (line,) = [line for line in advice(load(file)) if "takes no time" in line]
     assert line.startswith("stage steady: ") and "fracture.seam does not slip" in line
     assert not [line for line in advice(load(file, ["stage.0.time_step=1"])) if "takes no time" in line]
-    file.write_text(SCENE + steady + 'until = "incipient"\ncontrol = "push"\n[control.push]\n' + PUSH)
+    search = 'until = "incipient"\ncontrol = "push"\n[control.push]\n' + PUSH
+    other = "[fracture.other]\nnormal_stiffness = 1e12\nshear_stiffness = 1e12\naperture = 1e-3\nfriction_coefficient = 0.6\n"
+    fractures = 'fracture = [{name = "other", points = [[0, 0.5], [2, 0.5]]}, '
+    file.write_text(
+        SCENE.replace("fracture = [", fractures).replace("[fracture.seam]", other + "[fracture.seam]") + steady + search
+    )
+    assert [
+        line
+        for line in advice(load(file))
+        if "fracture.seam does not slip" in line and "of the other fractures" in line
+    ]
+    file.write_text(SCENE + steady + search)
     with pytest.raises(InputError, match=r"stage.0.until.* slip at any stress"):
         load(file)
