@@ -11,7 +11,6 @@ import math
 import threading
 import time as clock
 from collections.abc import Callable, Mapping
-from math import isfinite
 from typing import TYPE_CHECKING
 
 from rich.console import Console

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.errors import SolveError
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 from fracflow.solve.globalisation import Repetition
 from fracflow.solve.linear import KeptFactors, solves_both
-from fracflow.solve.newton import Newton
+from fracflow.solve.newton import REPEATS, Newton
 from fracflow.solve.problem import Work
 
 pytestmark = pytest.mark.serial
@@ -74,3 +77,11 @@ def test_factors_of_an_earlier_matrix_do_not_condemn_the_solver():
     problem = SimpleNamespace(work=Work())
     assert Newton.solves_both(newton, problem)
     assert problem.work.factorisations == 1
+
+
+def test_an_iteration_that_repeats_ends_once_a_search_has_not_helped(tmp_path, monkeypatch):
+    """A balance that cannot be reached, and residuals that are said to repeat."""
+    monkeypatch.setattr(Repetition, "see", lambda *_: True)
+    scene = load("meshes/report_5_3/scene.toml", ["accuracy.residual=1e-30", "accuracy.max_iterations=40"])
+    with pytest.raises(SolveError, match=REPEATS):
+        run(scene, tmp_path / "out")
