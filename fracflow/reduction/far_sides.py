@@ -17,7 +17,6 @@ from fracflow.errors import ReductionInvalid
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
-from fracflow.model.multipole_rock import FROM
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
@@ -140,11 +139,7 @@ def _nearest(scene: Scene, points: Floats) -> Iterator[Floats]:
 
 
 def _cpu(scene: Scene) -> tuple[float, float]:
-    """CPU s of an iteration of Newton's method with a mesh, and without. Levels of a study agree in it.
-
-    Infinite where multipoles would have to settle the level of a pressure that no well holds. Factors of near joints amplify it
-    by what the fluid conducts over what it stores in a step, which FGMRES may not make up for.
-    """
+    """CPU s of an iteration of Newton's method with a mesh, and without. Levels of a study agree in it."""
     geometry = scene.geometry
     assert geometry is not None
     corners, lengths = np.array(geometry.outline, dtype=float), trace_lengths(geometry)
@@ -153,8 +148,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
     growth = growth_of(scene, size, geometry.outline)
     cells = graded_count(size, fine, polygon_area(corners), float(lengths.sum()), growth)
     joints = float(lengths.sum()) / fine + TIPPED * len(lengths)
-    is_free = scene.fluid is not None and not any(well.pressure is not None for well in scene.well)
-    return direct(int(cells)).seconds, np.inf if joints > FROM and is_free else unmeshed(joints)
+    return direct(int(cells)).seconds, unmeshed(joints)
 
 
 def assessed(scene: Scene) -> FarSides | None:
