@@ -22,7 +22,6 @@ from fracflow.model.state import State
 from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
 from fracflow.remarks import note
-from fracflow.scene.method import MULTIPOLES_FROM
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.solve.rock_cost import direct, unmeshed
@@ -140,11 +139,7 @@ def _nearest(scene: Scene, points: Floats) -> Iterator[Floats]:
 
 
 def _cpu(scene: Scene) -> tuple[float, float]:
-    """CPU s of an iteration of Newton's method with a mesh, and without. Levels of a study agree in it.
-
-    Infinite where multipoles would have to settle the level of a pressure that no well holds. Factors of near joints amplify it
-    by what the fluid conducts over what it stores in a step, which FGMRES may not make up for.
-    """
+    """CPU s of an iteration of Newton's method with a mesh, and without. Levels of a study agree in it."""
     geometry = scene.geometry
     assert geometry is not None
     corners, lengths = np.array(geometry.outline, dtype=float), trace_lengths(geometry)
@@ -153,8 +148,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
     growth = growth_of(scene, size, geometry.outline)
     cells = graded_count(size, fine, polygon_area(corners), float(lengths.sum()), growth)
     joints = float(lengths.sum()) / fine + TIPPED * len(lengths)
-    is_free = scene.fluid is not None and not any(well.pressure is not None for well in scene.well)
-    return direct(int(cells)).seconds, np.inf if joints > MULTIPOLES_FROM and is_free else unmeshed(joints)
+    return direct(int(cells)).seconds, unmeshed(joints)
 
 
 def assessed(scene: Scene) -> FarSides | None:

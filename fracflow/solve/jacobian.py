@@ -370,8 +370,8 @@ class JoinedMatrix:
     def destroy(self) -> None:
         """Free the matrices. Collective."""
         if self.whole is not self.matrix:
-            self.whole.destroy()
-        self.matrix.destroy()
+            self.whole.setType("shell")  # ends its context now: PETSc may keep a broken solver until Python has ended
+        destroy(self.whole, self.matrix)
 
 
 class _WithFar:
