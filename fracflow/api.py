@@ -128,11 +128,11 @@ class Run:
         the beginning of the step in which it slips or opens. start_latest is the end of that step (nan in rows of kind
         "event"); end is that of the first step without it. A stage auto has kind "event" too, from the first section that
         slides to the last that sticks. It has place of the first, largest slip, and, nan in other rows, sections, length,
-        mean_slip [length], mean stress_drop [stress], moment G slip length [stress length**2], magnitude (with
-        output.event_length); energies radiated by absorbing sides, dissipated by friction, dropped at the return to rest
-        [force length / length]. unclosed is the share of them that the energy balance lacks; injected is the net volume that
-        wells brought before it [length**3]. An event under way at the end has its values so far. Raises InputError if there is
-        no events.csv.
+        mean_slip [length] and mean stress_drop [stress] of its rupture, which is all that slips over a hundredth of the largest
+        slip; moment G slip length [stress length**2] and magnitude (with output.event_length) of all slip; energies radiated by
+        absorbing sides, dissipated by friction, dropped at the return to rest [force length / length]. unclosed is the share of
+        them that the energy balance lacks; injected is the net volume that wells brought before it [length**3]. An event under
+        way at the end has its values so far. Raises InputError if there is no events.csv.
         """
         rows = read_events(self.folder / "events.csv")
         longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in _TEXTS}

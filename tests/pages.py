@@ -13,7 +13,12 @@ from website.pages import Page
 ROOT = Path(__file__).parents[1]
 FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
 PAGES = [*sorted(ROOT.glob("*.md")), *(page for name in FOLDERS for page in sorted((ROOT / name).rglob("*.md")))]
-NO_TUTORIALS = {"failures", "injected_fault", "ten_faults"}  # their scenes take too long to be run with their page
+NO_TUTORIALS = {
+    "failures",
+    "injected_fault",
+    "mapped_network",
+    "ten_faults",
+}  # their scenes take too long to be run with them
 TUTORIALS = [page for page in sorted((ROOT / "meshes").glob("*/README.md")) if page.parent.name not in NO_TUTORIALS]
 """Pages whose blocks are run one after another, and whose shown output is compared: see test_tutorials.py."""
 

@@ -17,6 +17,7 @@ from fracflow.scene.quantities import magnitude, one_less, with_components
 from fracflow.scene.scene import Scene
 
 SLIPPED = 1e-9  # of the largest slip of an event: less counts as none
+RUPTURED = 1e-2  # of the largest slip of an event: less is creep meanwhile, not of its rupture
 RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
 """Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
@@ -100,15 +101,18 @@ class Catalogue:
         return self.row(self.now) | {"end": None}
 
     def row(self, now: Instant) -> dict[str, Any]:
-        """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid."""
+        """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid.
+
+        Moment and energy are those of all sections. Number, length, mean slip, stress drop and rate are those of the rupture.
+        """
         length, before = self.ends.length, self.before
         slip, traction = (np.reshape(before[name], now.slip.shape) for name in ("slip", "traction"))
         change = np.where(length[:, None] > 0.0, now.slip - slip, 0.0)
         size = magnitude(change)
-        slipped = size > SLIPPED * size.max(initial=0.0)
-        whole = float(length[slipped].sum())
+        slipped, ruptured = (size > share * size.max(initial=0.0) for share in (SLIPPED, RUPTURED))
+        whole = float(length[ruptured].sum())
         along = change / np.where(size > 0.0, size, 1.0)[:, None]
-        drop = ((traction - now.traction) * along).sum(axis=1) * slipped
+        drop = ((traction - now.traction) * along).sum(axis=1)
         moment = float((length * np.where(slipped, self.ends.modulus * size, 0.0)).sum())
         since = {name: now.energy[name] - value for name, value in before["energy"].items()}
         released = sum(since.get(name, 0.0) for name in RELEASED)
@@ -117,11 +121,11 @@ class Catalogue:
             "start": self.start,
             "end": now.time if math.isnan(self.end) else self.end,
             **with_components("slip", change[size.argmax()]),
-            "peak_slip_rate": float(self.peak[slipped].max(initial=0.0)),
-            "sections": int(slipped.sum()),
+            "peak_slip_rate": float(self.peak[ruptured].max(initial=0.0)),
+            "sections": int(ruptured.sum()),
             "length": whole,
-            "mean_slip": float((length * size).sum() / whole) if whole > 0.0 else 0.0,
-            "stress_drop": float((length * drop).sum() / whole) if whole > 0.0 else 0.0,
+            "mean_slip": float((length * size)[ruptured].sum() / whole) if whole > 0.0 else 0.0,
+            "stress_drop": float((length * drop)[ruptured].sum() / whole) if whole > 0.0 else 0.0,
             "moment": moment if math.isfinite(moment) else None,
             "magnitude": self.ends.magnitude(moment),
             "radiated": since["radiated"],

@@ -1,7 +1,7 @@
-"""``scripts/figures rate-and-state [-o DIR] [--only NAME ...] [--run RUN] [--without RUN] [--ten-faults RUN]``.
+"""``scripts/figures rate-and-state [-o DIR] [--only NAME ...] [--run RUN] [--without RUN] [--ten-faults RUN] ...``.
 
-Runs meshes/injected_fault with inertia and without ("inertia"), and meshes/ten_faults ("ten_faults"); draws them. Runs that
-are given are read instead.
+Runs meshes/injected_fault with inertia and without ("inertia"), meshes/ten_faults ("ten_faults"), and meshes/mapped_network
+("mapped_network"); draws them. Runs that are given are read instead, the last by ``--mapped-network RUN``.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import matplotlib
 from sheets import ROOT, STYLE, Check, judge
 
 import fracflow
-from figures_rate_and_state import inertia, network
+from figures_rate_and_state import inertia, mapped, network
 from fracflow.api import Run
 
-FIGURES = ("inertia", "ten_faults")
+FIGURES = ("inertia", "ten_faults", "mapped_network")
 
 
 def main() -> int:
@@ -27,6 +27,7 @@ def main() -> int:
     parser.add_argument("--run", type=Path, metavar="RUN", help="a folder that a run of the scene left")
     parser.add_argument("--without", type=Path, metavar="RUN", help="one without inertia")
     parser.add_argument("--ten-faults", type=Path, metavar="RUN", help="a folder that a run of meshes/ten_faults left")
+    parser.add_argument("--mapped-network", type=Path, metavar="RUN", help="one that meshes/mapped_network left")
     parser.add_argument("--only", nargs="+", choices=FIGURES, default=FIGURES, metavar="NAME", help="these figures")
     given = parser.parse_args()
     checks: list[Check] = []
@@ -37,6 +38,9 @@ def main() -> int:
             checks += inertia.draw(moving, slow, given.output)
         if "ten_faults" in given.only:
             checks += network.draw(_ran(given.ten_faults, given.output / "ten_faults", "ten_faults"), given.output)
+        if "mapped_network" in given.only:
+            found = _ran(given.mapped_network, given.output / "mapped_network", "mapped_network")
+            checks += mapped.draw(found, given.output)
     return judge(checks, given.output)
 
 

@@ -54,3 +54,14 @@ def test_where_nothing_slides_there_is_no_event():
     log = Catalogue(ENDS)
     still = ([0.0, 0.0, 0.0], [8e6, 8e6, 8e6])
     assert [log.update(_at(time, *still), moves) for time, moves in ((1, False), (2, True), (3, False))] == [None] * 3
+
+
+def test_creep_meanwhile_is_not_of_the_rupture():
+    """Every section creeps with friction of rate and state: a network of kilometres is no rupture, its slip is moment."""
+    log = Catalogue(FaultEnds(np.arange(3), np.full(3, 10.0), np.full(3, 3e10)))
+    log.update(_at(1.0, [0.0, 0.0, 0.0], [8e6, 8e6, 8e6]), False)
+    log.update(_at(1.1, [0.04, 0.0, 0.0], [6e6, 8e6, 9e6], (0,), (1.0, 0.0, 0.0)), True)
+    row = log.update(_at(2.0, [0.1, 0.0011, 0.0009], [5e6, 7e6, 9e6]), False)
+    assert (row["sections"], row["length"]) == (2, 20.0)
+    assert row["mean_slip"] == pytest.approx(0.05055, rel=1e-12) and row["stress_drop"] == pytest.approx(2e6, rel=1e-12)
+    assert row["moment"] == pytest.approx(3e10 * 10 * 0.102, rel=1e-12)
