@@ -222,7 +222,8 @@ class Geometry(Table):
     """mesh size at fractures [length]; as size if only that is given"""
     size_at_tips: Size | None = None
     """mesh size at ends of fractures inside the rock, in an unbounded domain also where they meet [length]; as
-    size_at_fractures if not given"""
+    size_at_fractures if not given. An end of one that meets another at under 15 degrees has at most 1/16 of their
+    distance there"""
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = None
     """growth of the mesh size per length away from the fractures; if not given, 1.6 (joint/fracture length)^(1/2), at most 0.3,
     or 0.1 where these weaken with slip [1]"""

@@ -127,6 +127,18 @@ def test_sizes_at_fractures_at_tips_and_away(cells):
     assert length.max() > 5 * length.min() and corner_angles(raw.points, raw.cells).min() > 20
 
 
+@BOTH
+@pytest.mark.parametrize(("rise", "is_wedge"), [(0.1, True), (0.3, True), (1.0, False)])
+def test_cells_are_fine_where_a_wedge_of_rock_ends(cells, rise, is_wedge):
+    # The longer trace goes on past the tip of the other, where the wedge between them is as thick as it rises.
+    raw = build_mesh(spec([[[0.5, 1], [3.5, 1]], [[1, 1], [2.5, 1 + rise]]], cells, size=0.8, fine=0.3, snap=0.01))
+    length = np.linalg.norm(np.diff(raw.points[raw.fracture_facets], axis=1)[:, 0], axis=1)
+    at_tip = np.any(np.all(np.isclose(raw.points[raw.fracture_facets], [2.5, 1 + rise]), axis=2), axis=1)
+    assert np.all(length[at_tip] < 1.3 * rise / 16) == is_wedge
+    own_end = np.any(np.all(np.isclose(raw.points[raw.fracture_facets], [3.5, 1]), axis=2), axis=1)
+    assert length[own_end] > 0.1  # no wedge ends here
+
+
 @pytest.mark.parametrize(
     ("traces", "message"),
     [
