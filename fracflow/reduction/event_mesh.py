@@ -94,13 +94,14 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     points = np.array([point for trace in geometry.fracture for point in trace.points])
     extent, margin = float(np.ptp(points, axis=0).max()), geometry.event_margin
     beside = MARGIN * extent if margin is None else margin
-    held = f"absorbing sides (geometry.event_margin), which change its slip and opening by about {nearness(extent, beside):.2g}"
+    change = f"the slip and opening of an event by about {100.0 * nearness(extent, beside):.2g} %"
+    held = f"absorbing sides (geometry.event_margin), which change {change}"
     sides = f"with {held if bounded is None else 'the sides of the scene'}"
     near = []
     if bounded is None and margin is not None and margin < extent:
         near.append(
-            f"geometry.event_margin = {margin:.6g}{unit}: sides nearer than the extent of the fractures change how far events"
-            f" slip; leave it out for {MARGIN * extent:.6g}{unit}"
+            f"geometry.event_margin = {margin:.6g}{unit}: sides nearer than the extent of the fractures change {change};"
+            f" leave it out for {MARGIN * extent:.6g}{unit}"
         )
     return (
         *near,

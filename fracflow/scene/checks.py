@@ -79,6 +79,11 @@ def _method(scene: Tables) -> Iterator[Fault]:
     if method.stepper == "explicit" and scene.accuracy.dynamic_slip_share is not None:
         why = 'contradicts method.stepper = "explicit", whose steps the rock bounds; leave it out, or use stepper = "newmark"'
         yield ("accuracy", "dynamic_slip_share"), why
+    if scene.accuracy.dynamic_slip_share is not None and not (scene.creeps and scene.has_dynamics):
+        why = (
+            'bounds steps with inertia by the rate of slip of law = "rate-and-state": the scene has none; leave it out'
+        )
+        yield ("accuracy", "dynamic_slip_share"), why
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'

@@ -147,6 +147,8 @@ def test_steps_with_inertia_follow_the_rate_of_slip_where_a_scene_asks(kind, tmp
     assert not [line for line in run(load(tmp_path / "scene.toml"), tmp_path / "run").doubts if "with inertia" in line]
     with pytest.raises(InputError, match=r"accuracy\.dynamic_slip_share = 0\.2: contradicts"):
         load(tmp_path / "scene.toml", ["method.stepper=explicit"])
+    with pytest.raises(InputError, match=r"accuracy\.dynamic_slip_share = 0\.2: bounds steps with inertia"):
+        load(tmp_path / "scene.toml", ["stage=[{kind='quasi-static', time_step=1, steps=1}]"])
     kept = history(tmp_path, "run")
     moving = kept["step/kind"][1:] == 2
     far = (kept["probe/middle/sliding_rate"][1:] * np.diff(kept["time"]))[moving] / 1e-4
