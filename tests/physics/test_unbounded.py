@@ -141,8 +141,10 @@ def test_far_joints_as_series_are_as_all_entries(settings):
 
 def test_far_joints_on_one_rank_and_on_all(shared_tmp):
     """K_s u of displacements that follow from the numbers of nodes; on one rank by all entries too."""
-    (shared_tmp / "scene.toml").write_text(NETWORK)
     comm, forces = MPI.COMM_WORLD, []
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(NETWORK)
+    comm.barrier()
     for way, ranks in (("multipoles", comm), ("multipoles", MPI.COMM_SELF), ("direct", MPI.COMM_SELF)):
         settings = ["geometry.size_at_fractures=20", f"method.rock_solver={way}"]
         ops = prepare(load(shared_tmp / "scene.toml", settings), ranks).operators
@@ -160,7 +162,9 @@ def test_far_joints_on_one_rank_and_on_all(shared_tmp):
 
 def test_a_solver_that_PETSc_keeps_holds_no_python_of_far_joints(shared_tmp):
     """PETSc keeps a solver that broke until Python has ended, and would crash as it ended the context."""
-    (shared_tmp / "scene.toml").write_text(NETWORK)
+    if MPI.COMM_WORLD.rank == 0:
+        (shared_tmp / "scene.toml").write_text(NETWORK)
+    MPI.COMM_WORLD.barrier()
     model = prepare(load(shared_tmp / "scene.toml", ["method.rock_solver=multipoles"]), MPI.COMM_WORLD)
     matrix, solver = JoinedMatrix(model.operators, model.loads), PETSc.KSP().create(comm=MPI.COMM_WORLD)
     solver.setOperators(matrix.whole, matrix.matrix)
