@@ -56,6 +56,7 @@ def advice(scene: Scene) -> list[str]:
         *_idle(scene),
         *_timeless(scene),
         *_shut_wells(scene),
+        *_of_one_length(scene),
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
@@ -137,6 +138,18 @@ def _shut_wells(scene: Scene) -> Iterator[str]:
                     f"well.{well.name}.{key} = {limit:.6g}{unit} is {side} the pressure at the start, {start:.6g}{unit}: the"
                     f" well is shut until the pressure around it {does} to that: {change} it, if it is to pump from the start"
                 )
+
+
+def _of_one_length(scene: Scene) -> Iterator[str]:
+    """Rates of wells where nothing says how deep the fractures are out of the plane."""
+    stated = scene.fluid is None or "flow_depth" in scene.fluid.model_fields_set
+    unit = scene.unit_system.behind(LENGTH)
+    rates = [well.name for well in scene.well if well.flow_rate is not None and any(well.flow_rate.values)]
+    if rates and unit and not stated:
+        yield note(
+            f"well.{rates[0]}.flow_rate enters 1{unit} of the fractures out of the plane: if it is that of a whole well, give"
+            " fluid.flow_depth"
+        )
 
 
 def _reflecting(scene: Scene) -> Iterator[str]:

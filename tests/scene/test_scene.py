@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pages import SCENES
 
+from fracflow.remarks import note
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.schema import note_on_meanings, rows
@@ -117,6 +118,16 @@ def test_values_of_another_unit_are_told(make):
         "fracture.fault.aperture = 2 m is unusually large: is its unit right?",
         "fracture.fault.leak_off.permeability = 0.001 m^2 is unusually large: is its unit right?",
     ]
+
+
+def test_a_rate_of_one_metre_of_fractures_is_told(make):
+    """Nothing in the scene says how deep they are out of the plane."""
+    told, stated = (
+        [line for line in advice(make(*given)) if "out of the plane" in line] for given in ((), ("fluid.flow_depth=1",))
+    )
+    assert (
+        len(told) == 1 and told[0].startswith(note("well.node2.flow_rate enters 1 m of the fractures")) and not stated
+    )
 
 
 def test_a_pressure_at_the_start_that_nothing_stores_is_told(make):
