@@ -32,7 +32,7 @@ AT_TIP = 0.2437838  # in ln r: see at_tips
 
 
 def at_tips(ends: Floats) -> Floats:
-    """What is added to ln r (n,) in the mean of a segment with itself, for each of its ends that no other segment has.
+    """Additions (n,) to ln r in the mean of a segment with itself: AT_TIP for each of its ends that no other segment has.
 
     ends  (n, 2, 2)
     Nodes j = 1, 2, ... of equal joints from a tip at 0 then have jumps sqrt(j) far from it, without the term 1/sqrt(j) that
