@@ -110,7 +110,7 @@ def _error(walls: _Walls, own: Ints, rows: Ints, near: PETSc.Mat, far: FarRock) 
     near.mult(moved, force)
     found = force.getArray() + far.force(moved.getArray(readonly=True))
     destroy(moved, force)
-    grows, worst = np.zeros(len(hats.ends), dtype=complex), 0.0
+    grows, worst, tips = np.zeros(len(hats.ends), dtype=complex), 0.0, dislocation.at_tips(hats.ends)
     np.add.at(grows, hats.segment, hats.sign * all_moved[hats.hat])
     asked = np.unique(np.linspace(0, count - 1, SAMPLES).astype(np.int64))
     _, here, _ = np.intersect1d(own, asked, return_indices=True)
@@ -118,7 +118,7 @@ def _error(walls: _Walls, own: Ints, rows: Ints, near: PETSc.Mat, far: FarRock) 
         wanted = 0j
         for entry in np.flatnonzero(hats.hat == own[wall]):
             segment = np.full(len(hats.ends), hats.segment[entry])
-            xx, yy, xy = dislocation.pair_means(hats.ends, segment, np.arange(len(hats.ends))).T
+            xx, yy, xy = dislocation.pair_means(hats.ends, segment, np.arange(len(hats.ends)), tips).T
             pulled = xx @ grows.real + xy @ grows.imag + 1j * (xy @ grows.real + yy @ grows.imag)
             wanted += far.factor * hats.sign[entry] * pulled
         worst = max(worst, abs(wanted - found[rows[wall]] - 1j * found[rows[wall] + 1]))
@@ -173,8 +173,10 @@ def _near(walls: _Walls, own: Ints) -> tuple[Any, Ints, Ints]:
     needed = (_of_ones(here.segment, here.leaf[here.hat], touch.shape) @ beside @ touch.T).tocoo()
     low, high = np.minimum(needed.row, needed.col), np.maximum(needed.row, needed.col)
     low, high = np.divmod(np.unique(low.astype(np.int64) * joints + high), joints)
-    step = dislocation.CHUNK
-    means = [dislocation.pair_means(hats.ends, low[i : i + step], high[i : i + step]) for i in range(0, len(low), step)]
+    ends, step, tips = hats.ends, dislocation.CHUNK, dislocation.at_tips(hats.ends)
+    means = [
+        dislocation.pair_means(ends, low[i : i + step], high[i : i + step], tips) for i in range(0, len(low), step)
+    ]
     means = np.concatenate([np.zeros((0, 3)), *means])
     apart, values = low != high, np.empty((wanted.nnz, 3))
     at = wanted.row.astype(np.int64) * count + wanted.col

@@ -63,7 +63,7 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
     """(2.39) K_s on the unknowns, without entries for held walls [force/length per thickness]. Collective.
 
     Jumps are linear along a joint, and S u are the differences of those at its ends. K_s = -E'/(4 pi) S' A S, with the means A
-    of ``dislocation.energies``. The caller destroys it.
+    of ``dislocation.energies``, and what tips add to them. The caller destroys it.
     """
     from scipy import sparse  # imports much
 
@@ -84,7 +84,8 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
 
     here = changes[:, mine]
     touching = np.unique(here.nonzero()[0] // 2)
-    means, pairs = dislocation.energies(ends, touching), np.empty((len(touching), 2, len(ends), 2))
+    means = dislocation.energies(ends, touching, dislocation.at_tips(ends))
+    pairs = np.empty((len(touching), 2, len(ends), 2))
     for i, j, part in ((0, 0, 0), (1, 1, 1), (0, 1, 2), (1, 0, 2)):
         pairs[:, i, :, j] = means[..., part]
     pairs *= of_energy(scene)

@@ -5,6 +5,7 @@ import pytest
 from figures_verification.runs import solve
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.elements.dislocation import AT_TIP
 from fracflow.errors import InputError, NotConverged
 from fracflow.model.multipole_rock import by_multipoles
 from fracflow.reduction.prepare import prepare, with_sizes
@@ -220,7 +221,7 @@ def test_displacements_and_stresses_around_a_sheared_crack():
 
 @pytest.mark.parametrize("way", SOLVERS)
 def test_a_crack_of_two_joints(way):
-    """By hand, K_s = E' ln 2/pi against the opening of the node; on three ranks one has no joint."""
+    """By hand, K_s = E' (2 ln 2 - AT_TIP)/(2 pi) against the opening of the node; on three ranks one has no joint."""
     scene = CROSSED[: CROSSED.index("geometry =")] + CROSSED[CROSSED.index("[fracture") :]
     geometry = 'geometry={domain="unbounded", size=1, fracture=[{name="a", points=[[-1, 0], [1, 0]]}]}'
     found = solve(
@@ -230,7 +231,20 @@ def test_a_crack_of_two_joints(way):
         f"method.rock_solver={way}",
     )
     opening = found.fractures[-1].point["opening"].max()
-    assert opening == pytest.approx(np.pi * 1e6 / (50e9 / (1 - 0.25**2) * np.log(2)), rel=1e-12)
+    assert opening == pytest.approx(2 * np.pi * 1e6 / (50e9 / (1 - 0.25**2) * (2 * np.log(2) - AT_TIP)), rel=1e-12)
+
+
+def test_a_cross_under_pressure():
+    """K_I = 0.8636 p sqrt(pi a) (Rooke and Sneddon 1969), and four tips: the rock takes 2 a K_I^2/E' of energy."""
+    scene = CROSSED[: CROSSED.index("geometry =")] + CROSSED[CROSSED.index("[fracture") :]
+    arms = '{name="a", points=[[-1, 0], [1, 0]]}, {name="b", points=[[0, -1], [0, 1]]}'
+    found = solve(
+        scene.replace("initial_stress", "#"),
+        f'geometry={{domain="unbounded", size=0.05, fracture=[{arms}]}}',
+        "fracture.default.pressure=[[0, 0], [1, 1e6]]",
+    )
+    energy = 2 * np.pi * (0.8636 * 1e6) ** 2 / (50e9 / (1 - 0.25**2))
+    assert found.history["energy/rock_strain"][-1] == pytest.approx(energy, rel=1.2e-3)
 
 
 BLOCK = """

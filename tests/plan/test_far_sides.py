@@ -77,7 +77,7 @@ def dear_meshes(monkeypatch):
 def test_far_sides_are_left_out(shared_tmp, dear_meshes):
     """Within the tolerance of a fine mesh, and nearer to it than the mesh of the scene; on ranks alike."""
     run(scene_of(), shared_tmp / "free")
-    fine = scene_of().with_geometry({"size_at_fractures": 0.7, "size_at_tips": 0.2, "growth": 0.1})
+    fine = scene_of().with_geometry({"size_at_fractures": 0.7, "size_at_tips": 0.2, "growth": 0.05})
     run(fine.model_copy(update={"model": "full"}), shared_tmp / "full")
     run(scene_of().model_copy(update={"model": "full"}), shared_tmp / "coarse")
     if MPI.COMM_WORLD.size > 1:
