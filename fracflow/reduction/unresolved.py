@@ -10,6 +10,7 @@ import numpy as np
 from fracflow.diagnostics import slip
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import CheckInput
+from fracflow.diagnostics.thin_rock import thin_rock_lines
 from fracflow.integrators import stepper_from
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
@@ -62,6 +63,7 @@ def _unresolved(view: CheckInput, mesh: SplitMesh, wells: Mapping[str, tuple[int
             asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
             has = f"has {need.found:.3g}{unit}, {need.where}"
             lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
+    lines += thin_rock_lines(scene, mesh)
     return [*lines, *_keeping_waves(view, rock.far), *_coarse_beside(view, rock.beside)]
 
 
