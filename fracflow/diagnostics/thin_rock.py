@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
@@ -65,11 +66,12 @@ def thin_rock_lines(scene: Scene, mesh: SplitMesh) -> list[str]:
     of_pairs: dict[frozenset[str], ThinRock] = {}
     for each in coarse:
         of_pairs.setdefault(frozenset((each.fracture, each.other)), each)
-    found, more = list(of_pairs.values())[:MOST], len(of_pairs) - MOST
-    return [_line(scene, each) for each in found] + ([f"mesh: thin rock: {more} more pairs"] if more > 0 else [])
+    extent, more = extent_of(mesh.points), len(of_pairs) - MOST
+    lines = [_line(scene, each, extent) for each in list(of_pairs.values())[:MOST]]
+    return lines + ([f"mesh: thin rock: {more} more pairs"] if more > 0 else [])
 
 
-def _line(scene: Scene, rock: ThinRock) -> str:
+def _line(scene: Scene, rock: ThinRock, extent: float) -> str:
     unit = scene.unit_system.behind(LENGTH)
     other = f"side {rock.other}" if rock.is_side else rock.other
     if rock.meeting is None:
@@ -88,7 +90,7 @@ def _line(scene: Scene, rock: ThinRock) -> str:
         remedy = "by a finer mesh"
     return (
         f"mesh: {rock.fracture} and {other} {how}, and joints of {rock.joint:.3g}{unit} do not resolve the rock between them,"
-        f" {rock.thickness:.3g}{unit} thick at the tip ({rock.tip[0]:.6g}, {rock.tip[1]:.6g}): {does}: it needs joints of"
+        f" {rock.thickness:.3g}{unit} thick at the tip {place_text(rock.tip, extent)}: {does}: it needs joints of"
         f" {rock.wanted:.2g}{unit} there, {remedy}"
     )
 
