@@ -22,7 +22,7 @@ class Totals:
     """Counts over the run.
 
     injected  net volume that wells have brought, as in the last state [length^3]
-    counts    of all steps, as of ``StepReport``; ``rejected`` and ``wasted`` count those of a step that failed, too.
+    counts    of all steps, as of ``StepReport``. Those rejected and wasted are also of a step that failed.
     evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     missed    work of friction that steps with inertia miss, and ``turning``, whether the log has a line on it
