@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from figures_verification.runs import solve
 
-from fracflow._petsc import MPI
 from fracflow.diagnostics.thin_rock import FREE, LOCKS, thin_rock_lines
 from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
+
+pytestmark = pytest.mark.serial
 
 SCENE = """
 rock.rock = {youngs_modulus = 50e9, poissons_ratio = 0.25}
@@ -52,8 +53,6 @@ def drawn(*given, size=0.1):
 
 
 def lines_of(folder, geometry, *settings):
-    if MPI.COMM_WORLD.rank:
-        pytest.skip("a mesh is read on rank 0")
     if geometry.startswith("Point"):
         (folder / "mesh.geo").write_text(geometry)
         geometry = '[mesh]\nfile = "mesh.geo"\n'
