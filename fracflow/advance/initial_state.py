@@ -13,6 +13,7 @@ from fracflow.laws.base import HELD
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import outer_besides
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
@@ -221,7 +222,9 @@ def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
         known = np.concatenate([mesh.side_facets, mesh.joint_bottom, mesh.joint_top])
         outer = mesh.points[outer_besides(mesh.cells, known)].reshape(-1, spots.shape[1])
         on = spots[(spots[:, None] == outer).all(axis=2).any(axis=1)]
-        return tuple(f"outer curves without a name, as at ({x:.6g}, {y:.6g})" for x, y in on[:1, :2])
+        return tuple(
+            f"outer curves without a name, as at {place_text(at, extent_of(mesh.points))}" for at in on[:1, :2]
+        )
 
     found: tuple[str, ...] = comm.bcast(on_root(comm, unnamed), root=0)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +57,7 @@ class FlowNetwork:
         self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
-        self._found_at: tuple[State | None, int] = (None, 0)
+        self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
 
     def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
@@ -177,9 +178,9 @@ class FlowNetwork:
     def update(self, state: State) -> None:
         """Find the components at a state, if they are not those that were found last. Collective."""
         last, version = self._found_at
-        if state is not last or version != self.version:
+        if last is None or last() is not state or version != self.version:
             self.check(self._conduction(state))
-            self._found_at = state, self.version
+            self._found_at = weakref.ref(state), self.version
 
     def _conduction(self, state: State) -> Conduction:
         ops = self.model.operators

@@ -265,7 +265,7 @@ class SingleStep:
                 continue
             finally:
                 problem.destroy()
-                solvers.work.unbalanced = np.inf
+                solvers.work.trial.unbalanced = np.inf
             depth = solvers.model.scene.flow_depth
             now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)
             if now == reached and is_same:

@@ -21,7 +21,7 @@ from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: the error that the next prompt part is expected to have
-GROWTH = 2.0  # of prompt parts, each over the last
+MOST_OF_LAST = 2.0  # of prompt parts, each over the last
 GRADES = 8  # lengths of prompt parts in an octave, which do not follow round-off: all numbers of ranks take the same
 GRAIN = 2.0**-40  # of a step: sums of such lengths are exact
 LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
@@ -253,7 +253,7 @@ def _after(place: SubstepCursor, size: float, error: float, rules: Rules) -> Sub
     if not rules.order:
         return place
     if rules.prompt:
-        longer = min((MARGIN / error) ** (1.0 / rules.order), GROWTH) if error > 0.0 else GROWTH
+        longer = min((MARGIN / error) ** (1.0 / rules.order), MOST_OF_LAST) if error > 0.0 else MOST_OF_LAST
         return replace(place, level=max(_graded(-math.log2(longer * size * (1.0 - place.base))), 0.0))
     calm = place.calm + 1 if error < 0.5 ** (rules.order + 1) else 0
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)

@@ -19,7 +19,7 @@ SIZES = ("cells", "displacement unknowns", "pressure unknowns", "steps")
 TIMES = ("memory", "explicit steps", "each event", "slow slip", "time of")
 """Beginnings of the lines on cost."""
 BAD = ("cells under", "cells over")  # of an angle: shown where there are any
-VERDICTS = ("left out", "not in the scene", "kept")
+VERDICTS = ("left out", "added", "not in the scene", "kept")
 MOST_NOTES, LONGEST_NOTE = 8, 180  # lines and letters of the notes in the short answer
 Records = Sequence[Mapping[str, Any]]
 
@@ -54,7 +54,7 @@ def short_answer(
         report_checks(bounded, console, "Pre-run checks that have a limit", remedies=False)
     parts = {verdict: [each for each in plan if each["verdict"] == verdict] for verdict in VERDICTS}
     exact = [each for each in parts["left out"] if each["error"].startswith("none")]
-    listed = [("left out, exact", exact), ("not in the scene", parts["not in the scene"]), ("kept", parts["kept"])]
+    listed = [("left out, exact", exact), *((verdict, parts[verdict]) for verdict in VERDICTS[1:])]
     for each in (each for each in parts["left out"] if each not in exact):
         say(f"left out: {part_of(each)}; may err by: {each['error']}")
     for word, those in listed:

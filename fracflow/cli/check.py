@@ -77,7 +77,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     notes += one_obstacle(scene)
     network = _network(model)
     model, facts = planned(model)
-    found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))
+    found |= _cost(model, steps)
     return found, notes, card, decide(facts.with_card(card)), network
 
 
@@ -101,19 +101,20 @@ def _of_events(model: Model, each: float) -> dict[str, str]:
     return mesh | cost_of_events(model, each, ITERATIONS, period)
 
 
-def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
+def _cost(model: Model, steps: int) -> dict[str, str]:
     """Memory and time of so many steps, by what factors of so many unknowns take; one factorisation is made and timed.
 
-    Explicit steps have none: they take products with the rock's stiffness, which are timed likewise.
-
-    more  events or a search make steps besides
+    Explicit steps have none: they take products with the rock's stiffness, which are timed likewise. Events and searches make
+    steps besides.
     """
+    has_events = any(stage.kind == "auto" for stage in model.scene.stage)
+    searches = any(stage.until for stage in model.scene.stage)
     unknowns = sum(
         int(starts[-1]) for starts in (model.operators.layout.solid_starts, model.operators.layout.flow_starts)
     )
     explicit = explicit_cost(model)
     steps -= explicit.steps if explicit is not None else 0
-    solves = steps > 0 or more
+    solves = steps > 0 or has_events or searches
     rock = rock_choice(model.scene, MPI.COMM_SELF, int(model.operators.layout.solid_starts[-1]))
     memory = rock.cost.bytes if solves else without_solves(unknowns)
     by_multipoles = model.operators.far is not None
@@ -123,6 +124,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         numbers = SERIES if by_multipoles else DENSE * moving
         memory = without_solves(0) + NUMBER * numbers * moving
     found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
+    of_events: dict[str, str] = {}
     if explicit is not None:
         found["explicit steps"] = explicit.line
         part = explicit.seconds + OWN
@@ -137,10 +139,12 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
             each += PRODUCTS * product
             made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
-        found |= _of_events(model, each)
+        of_events = _of_events(model, each)
+        found |= of_events
         parts.append(f"{ITERATIONS} iterations a step, each with {made}")
-    besides = ["events and searches"] if more else []
+    besides = [f"events{', which are as above' if of_events else ''}"] if has_events else []
+    besides += ["searches"] if searches else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []
-    without = f", without those of {' and of '.join(besides)}" if besides else ""
+    without = f", without those of {'; of '.join(besides)}" if besides else ""
     found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(parts)}"
     return found

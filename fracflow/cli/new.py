@@ -13,7 +13,7 @@ from string import Template
 import numpy as np
 
 from fracflow.errors import DiskError, InputError
-from fracflow.mesh.facets import outer_besides
+from fracflow.mesh.facets import outer_besides, spot
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
@@ -150,9 +150,9 @@ def _of_mesh(file: Path, path: Path, trust: bool) -> SceneParts:
     if not raw.sides:
         raise InputError(f"{file}: no side has a name; give the outer curves physical curves, or sets of edges")
     if len(outer := outer_besides(raw.cells, raw.side_facets)):
-        x, y = raw.points[outer[0], :2].mean(axis=0)
+        at = spot(raw.points, outer[0])
         warnings.warn(
-            f"{file}: {len(outer)} outer edges have no name, as at ({x:.6g}, {y:.6g}): nothing can hold or load them, and a run"
+            f"{file}: {len(outer)} outer edges have no name, as at {at}: nothing can hold or load them, and a run"
             " under initial stress is refused; give their curves physical curves",
             stacklevel=2,
         )

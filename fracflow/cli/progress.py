@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from fracflow.advance.step import Step
     from fracflow.cli.bar import Bar
     from fracflow.scene.scene import Scene
-    from fracflow.solve.problem import Work
+    from fracflow.solve.problem import TrialProgress
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given
@@ -42,7 +42,7 @@ class RunProgress(Observer):
     show      is given a line, and the share of the stage that is done or None where its end is not known
     seconds   the time now [s]
     on_saved  is given the number of steps up to the last state on disk
-    on_work   is given the work that grows while a step is made
+    on_trial   is given the trial under way
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class RunProgress(Observer):
         show: Callable[[str, float | None], None],
         seconds: Callable[[], float] = clock.monotonic,
         on_saved: Callable[[int], None] | None = None,
-        on_work: Callable[[Work], None] | None = None,
+        on_trial: Callable[[TrialProgress], None] | None = None,
     ) -> None:
         """Before the first step."""
-        self.scene, self.show, self.seconds, self.on_saved, self.on_work = scene, show, seconds, on_saved, on_work
+        self.scene, self.show, self.seconds, self.on_saved, self.on_trial = scene, show, seconds, on_saved, on_trial
         self.rejected = self.since = 0
         self.counts: tuple[int, int] | None = None
         self.line = SETTING_UP
@@ -67,10 +67,10 @@ class RunProgress(Observer):
         if self.on_saved is not None:
             self.on_saved(steps)
 
-    def follow(self, work: Work) -> None:
-        """The run's work, which grows while a step is made."""
-        if self.on_work is not None:
-            self.on_work(work)
+    def follow(self, trial: TrialProgress) -> None:
+        """The trial under way."""
+        if self.on_trial is not None:
+            self.on_trial(trial)
 
     def sections(self, slipping: int, is_open: int) -> None:
         """Sections that slip and that are open in the step that is reported next."""
@@ -244,13 +244,13 @@ def spoken(seconds: float) -> str:
     return f"{seconds / TIME_UNITS[unit]:.2g} {unit}"
 
 
-def inside(work: Work | None, seconds: float, least: float) -> str:
+def inside(trial: TrialProgress | None, seconds: float, least: float) -> str:
     """Where the solve of a step is that has lasted for some seconds, in words; empty where they are below the least."""
     if seconds < least:
         return ""
     solve = ""  # of explicit steps, and before the first balance
-    if work is not None and math.isfinite(work.unbalanced):
-        solve = f" at Newton iteration {work.iteration}, {work.unbalanced:.1e} out of balance"
+    if trial is not None and math.isfinite(trial.unbalanced):
+        solve = f" at Newton iteration {trial.iteration}, {trial.unbalanced:.1e} out of balance"
     return f", and this for {spoken(seconds)}{solve}"
 
 
@@ -264,7 +264,7 @@ class Screen:
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
         self._bar: Bar | None = None
-        self._work: Work | None = None
+        self._trial: TrialProgress | None = None
 
     def __enter__(self) -> Screen:
         if self.console.quiet:
@@ -291,18 +291,18 @@ class Screen:
         if self._bar is not None:
             self._bar.show(line, share)
 
-    def follow(self, work: Work) -> None:
-        """The run's work, which grows while a step is made."""
-        self._work = work
+    def follow(self, trial: TrialProgress) -> None:
+        """The trial under way."""
+        self._trial = trial
 
     def _renew(self) -> None:
         while self._bar is not None and not self._ended.wait(1.0):
-            self._bar.inside = inside(self._work, clock.monotonic() - self._since, LONG_STEP)
+            self._bar.inside = inside(self._trial, clock.monotonic() - self._since, LONG_STEP)
 
     def _write(self) -> None:
         while not self._ended.wait(INTERVAL):
             now = clock.monotonic()
-            still = inside(self._work, now - self._since, INTERVAL)
+            still = inside(self._trial, now - self._since, INTERVAL)
             said = f"after {spoken(now - self._began)}: {shown_plain(self._line)}{still}"
             try:
                 self.console.print(f"{self.name}: {said}", soft_wrap=True, markup=False, highlight=False)

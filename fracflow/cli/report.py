@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fracflow.errors import InputError
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.store import load_mesh
 from fracflow.output.drawing.axes import shown, unit_for
 from fracflow.output.events import read_events
@@ -52,9 +53,9 @@ def _nearest(folder: Path) -> str:
         return ""
     nearest = int(np.nanargmax(np.where(np.isfinite(share), share, np.nan)))
     name = json.loads(about["fractures"])[int(np.asarray(at_cells["fracture"])[nearest // 2])]
-    x, y = points[nearest, :2]
+    at = place_text(points[nearest, :2], extent_of(points))
     return (
-        f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}:"
+        f"; nearest to it at the end is {name} at {at}, |f_s|/f_sy = {share[nearest]:.4g}:"
         f" {_further(folder)} may reach it"
     )
 

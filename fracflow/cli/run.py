@@ -56,7 +56,7 @@ def run_with_progress(
     screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            totals = job(RunProgress(scene, screen.show, on_saved=words.saved, on_work=screen.follow))
+            totals = job(RunProgress(scene, screen.show, on_saved=words.saved, on_trial=screen.follow))
         except SolveError as error:
             failure = error
         except Interrupted as error:
@@ -69,8 +69,7 @@ def run_with_progress(
     if failure is not None:
         raise SolveError(last_line(failure, folder))
     if totals is not None:
-        counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
-        console.print(counts + totals.besides(), soft_wrap=True)
+        console.print(totals.in_words() + totals.besides(), soft_wrap=True)
         for line in totals.doubts:
             console.print(marked(scene.with_time_units(line)), soft_wrap=True, markup=False)
 

@@ -23,7 +23,7 @@ PATCH = 5.0  # joints in L_c
 STATE = 3.0  # joints in L_b
 NUCLEUS = 10.0  # joints in h*
 STEADY = 1e-3  # of |ln(V theta/D_c)|: slip that is steady, to the digits that a check shows
-GROWTH = 0.096
+FASTEST_GROWTH = 0.096
 """Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
 of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
 STIFF = {"gauss2": 1.0, "one-point": 0.5}
@@ -242,7 +242,7 @@ def dissimilar_rock(view: CheckInput) -> Number:
         return Number(name, formula, note="like rocks")
     if not view.dynamic:
         return Number(name, formula, note="no inertia")
-    rate = GROWTH * joints.normal * (speeds.min(axis=1) / joints.softer)[:, None]
+    rate = FASTEST_GROWTH * joints.normal * (speeds.min(axis=1) / joints.softer)[:, None]
     value, joint, where = view.worst(np.where(unlike[:, None], rate * view.dynamic_time(), np.nan))
     if value is None or value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)

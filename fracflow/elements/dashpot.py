@@ -43,7 +43,7 @@ def silent_distance(fast: float, time: float) -> float:
     return 0.5 * fast * time
 
 
-Shares = float | tuple[float, float]
+DashpotShares = float | tuple[float, float]
 """Of the dashpots rho c_p across and rho c_s along a side, of both or of each: 0 leaves a free side."""
 ANGLES = {"p": (0.0, 45.0, 60.0, 75.0), "s": (0.0, 30.0, 45.0, 60.0, 75.0)}
 STEEPEST = 60.0  # degrees: waves further from the normal graze a side
@@ -76,7 +76,7 @@ def reflection(poissons_ratio: float, degrees: float, kind: str = "p") -> float:
     return returned(poissons_ratio, degrees, kind)[0 if kind == "p" else 1]
 
 
-def returned(poissons_ratio: float, degrees: float, kind: str, share: Shares = 1.0) -> tuple[float, float]:
+def returned(poissons_ratio: float, degrees: float, kind: str, share: DashpotShares = 1.0) -> tuple[float, float]:
     """Amplitudes of the P and S wave that dashpots send back, over that of the plane wave that meets them at an angle.
 
     degrees  between the way of the wave and the normal, below 90
@@ -91,7 +91,7 @@ def returned(poissons_ratio: float, degrees: float, kind: str, share: Shares = 1
     return float(p), float(s)
 
 
-def energy_returned(poissons_ratio: float, degrees: float, kind: str, share: Shares = 1.0) -> float:
+def energy_returned(poissons_ratio: float, degrees: float, kind: str, share: DashpotShares = 1.0) -> float:
     """Power that both waves carry away from a unit of the side, over what the wave brings; arguments as of ``returned``."""
     (fast, slow), (amplitudes, cosines) = _speeds(poissons_ratio), _sent_back(poissons_ratio, degrees, kind, share)
     own = fast if kind == "p" else slow
@@ -99,7 +99,7 @@ def energy_returned(poissons_ratio: float, degrees: float, kind: str, share: Sha
 
 
 @cache
-def energy_over_directions(poissons_ratio: float, kind: str, share: Shares = 1.0) -> float:
+def energy_over_directions(poissons_ratio: float, kind: str, share: DashpotShares = 1.0) -> float:
     """Share of the energy that comes back where waves of one kind come as strong from all directions of the plane.
 
     Of P and S together it is least with 0.75 of the dashpots along a side at Poisson's ratio 1/4: 6.4 % for 8.1 %. The whole
@@ -133,7 +133,7 @@ def _critical(poissons_ratio: float, kind: str) -> float:
     return 90.0 if kind == "p" else float(np.degrees(np.arcsin(slow / fast)))
 
 
-def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: Shares) -> tuple[Floats, Floats]:
+def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: DashpotShares) -> tuple[Floats, Floats]:
     """Amplitudes (2,) of the P and S wave, and the cosines of their angles to the normal, 0 of one that fades."""
     lam, shear = _lame_over_shear(poissons_ratio), 1.0
     fast, slow = _speeds(poissons_ratio)

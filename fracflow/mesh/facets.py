@@ -9,6 +9,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.graph import components
+from fracflow.mesh.places import extent_of, place_text
 
 # (dim, corners of a cell) -> corners of its facets. In their order the normal of a facet (s turned left; of a surface, by the
 # right hand) points into the cell. A mesh in space has one kind of cell, so that all its facets have as many nodes.
@@ -148,4 +149,4 @@ def joined_by_cells(cells: Ints, count: int) -> tuple[Ints, Ints]:
 
 def spot(points: Floats, nodes: Ints) -> str:
     """Coordinates of the middle of ``nodes`` (k,), for messages; points (n, dim)."""
-    return "(" + ", ".join(f"{value:.6g}" for value in points[nodes].mean(axis=0)) + ")"
+    return place_text(points[nodes].mean(axis=0), extent_of(points))

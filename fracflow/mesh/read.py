@@ -18,6 +18,7 @@ from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_wor
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
@@ -145,7 +146,8 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
             " change geometry.size or size_at_fractures a little"
         )
     between = [each for each in around if each[0] != at_tips]
-    return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *_small_cells(between, misses, fine)))
+    small = _small_cells(between, misses, fine, extent_of(domain))
+    return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *small))
 
 
 def build_unmeshed(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
@@ -186,16 +188,16 @@ def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMi
     return network, snap, near_misses(network, [name for name, _ in traces], sides, snap)
 
 
-def _small_cells(around: list[Source], misses: list[NearMiss], fine: float) -> list[str]:
+def _small_cells(around: list[Source], misses: list[NearMiss], fine: float, extent: float) -> list[str]:
     """Say where cells are far smaller than the size at fractures, and by which near miss."""
     least, places = min(around, key=lambda each: each[0], default=(fine, np.zeros((0, 2))))
     if least >= SMALL * fine:
         return []
     beside = [miss for miss in misses if np.linalg.norm(places - miss.point, axis=1).min() <= 2.0 * miss.distance]
-    (x, y), why = places[0], "where traces are near each other or meet at a small angle"
+    at, why = places[0], "where traces are near each other or meet at a small angle"
     if beside:
-        (x, y), why = beside[0].point, f"by the near miss of {beside[0].subject}"
-    return [note(f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({x:.6g}, {y:.6g}): {why}")]
+        at, why = np.array(beside[0].point), f"by the near miss of {beside[0].subject}"
+    return [note(f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at {place_text(at, extent)}: {why}")]
 
 
 def side_names(domain: Floats) -> list[str]:

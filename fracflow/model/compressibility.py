@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas, first_rate
 from fracflow.mesh.data import Floats
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.loads import Loads
@@ -85,8 +86,9 @@ def widening(operators: Operators, loads: Loads, old: State, new: State) -> Grow
     grown, found = float(left.max(initial=1.0)), (1.0, "")
     if follows.size and follows.max() > 1.0:
         joint, end = np.unravel_index(follows.argmax(), follows.shape)
-        x, y = operators.blocks.solid.points[joints.bottom[joint, end]][:2]
-        found = float(follows[joint, end]), f"{joints.fractures[joints.fracture[joint]]} at ({x:.6g}, {y:.6g})"
+        points = operators.blocks.solid.points
+        at = place_text(points[joints.bottom[joint, end]], extent_of(points))
+        found = float(follows[joint, end]), f"{joints.fractures[joints.fracture[joint]]} at {at}"
     every = operators.layout.comm.allgather((grown, found))
     return Growth(max(grown for grown, _ in every), *max(found for _, found in every))
 

@@ -13,6 +13,7 @@ from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
@@ -123,7 +124,7 @@ def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) 
         found = [part for part, where in apart.items() if len(where)]
         if found:
             where = np.unique(np.concatenate(list(apart.values())))
-            at = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in mesh.points[where[:2]])
+            at = ", ".join(place_text(place, extent_of(mesh.points)) for place in mesh.points[where[:2]])
             more = f" and {len(where) - 2} more" if len(where) > 2 else ""
             yield (
                 f"support.{other} ({', '.join(scene.support[other].on)}) prescribes another displacement in"

@@ -28,6 +28,7 @@ from fracflow.mesh.locate import (
     tied_nodes,
 )
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -286,7 +287,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    unit = scene.unit_system.behind(LENGTH)
+    unit, extent = scene.unit_system.behind(LENGTH), extent_of(mesh.points)
     spots = {name: mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
     displaced = {name for name, spot in spots.items() if moved(mesh, asked[f"well.{name}"], spot, unit)}
     return Placed(
@@ -301,7 +302,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
                 if w.name in wells and w.at is not None
             ),
             *(
-                note(f"{name} sits on the fracture at {_shown(found.point, unit)}{away}")
+                note(f"{name} sits on the fracture at {place_text(found.point, extent)}{unit}{away}")
                 for name, found in ((f"probe.{p.name}", probes[p.name]) for p in scene.probe)
                 if (away := moved(mesh, asked[name], found.point, unit))
             ),
@@ -319,13 +320,10 @@ def _fracture_of(at: Position | None) -> str | None:
 def on_its_fracture(mesh: SplitMesh, name: str, node: int, asked: Position, unit: str) -> str:
     """Say on which fractures a well lies: Gmsh may have given the number of its physical point to another one."""
     on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
-    spot = mesh.points[mesh.flow_origin[node]]
-    return note(f"well.{name} is on {', '.join(on)} at {_shown(spot, unit)}{moved(mesh, asked, spot, unit)}")
-
-
-def _shown(spot: Floats, unit: str) -> str:
-    """A place (dim,) with its unit, which has a blank before it."""
-    return f"({spot[0]:.6g}, {spot[1]:.6g}){unit}"
+    spot, extent = mesh.points[mesh.flow_origin[node]], extent_of(mesh.points)
+    return note(
+        f"well.{name} is on {', '.join(on)} at {place_text(spot, extent)}{unit}{moved(mesh, asked, spot, unit)}"
+    )
 
 
 def _is_point(asked: object) -> bool:
@@ -336,7 +334,7 @@ def _is_point(asked: object) -> bool:
 def moved(mesh: SplitMesh, asked: Position, spot: Floats, unit: str) -> str:
     """Say how far from the coordinates asked for a ``spot`` (dim,) is; "" if there."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if _is_point(asked) else 0.0
-    near = PLACE_ROUND_OFF * float(np.ptp(mesh.points, axis=0).max())
+    near = PLACE_ROUND_OFF * extent_of(mesh.points)
     return "" if away <= near else f", {away:.3g}{unit} from where it was asked"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -231,6 +231,11 @@ def forgetful(state: State) -> State:
     return replace(state, motion=motion, pressure=pressure, forces=forces, previous_step=PreviousStep(), uptake=uptake)
 
 
+def _adds_up() -> Any:
+    """A count of a step that adds up: over the solves of a step, and over the steps of a run."""
+    return field(default=0, metadata={"adds up": True})
+
+
 @dataclass(frozen=True)
 class StepReport:
     """Cost and end of a step.
@@ -250,10 +255,10 @@ class StepReport:
     missed          work of friction that a step with inertia misses; see ``energy.work_missed`` [energy per thickness]
     """
 
-    newton: int = 0
-    krylov: int = 0
+    newton: int = _adds_up()
+    krylov: int = _adds_up()
     cycles: int = 0
-    factorisations: int = 0
+    factorisations: int = _adds_up()
     solid_residual: float = 0.0
     flow_residual: float = 0.0
     out_of_balance: tuple[float, ...] = ()
@@ -262,15 +267,15 @@ class StepReport:
     measured: float = np.nan
     handed_over: str = ""
     round_off: float = 0.0
-    located: int = 0
-    rejected: int = 0
-    wasted: int = 0
+    located: int = _adds_up()
+    rejected: int = _adds_up()
+    wasted: int = _adds_up()
     grown: float = 1.0
     widening: float = 1.0
     widest: str = ""
     missed: float = 0.0
-    solved: int = 0
-    refused: int = 0
+    solved: int = _adds_up()
+    refused: int = _adds_up()
 
     def with_rejected(self, newton: int) -> StepReport:
         """The same with one more rejected trial, and its Newton iterations."""
@@ -284,15 +289,12 @@ class StepReport:
         """The report of this solve with the cost of one before it in the same step, and what happened there."""
         return replace(
             self,
-            newton=earlier.newton + self.newton,
-            krylov=earlier.krylov + self.krylov,
             cycles=max(earlier.cycles, self.cycles),
-            factorisations=earlier.factorisations + self.factorisations,
             handed_over=self.handed_over or earlier.handed_over,
             round_off=max(earlier.round_off, self.round_off),
-            located=earlier.located + self.located,
-            rejected=earlier.rejected + self.rejected,
-            wasted=earlier.wasted + self.wasted,
-            solved=earlier.solved + self.solved,
-            refused=earlier.refused + self.refused,
+            **{name: getattr(earlier, name) + getattr(self, name) for name in COUNTS},
         )
+
+
+COUNTS = tuple(each.name for each in fields(StepReport) if each.metadata.get("adds up"))
+"""Names of what adds up in a report."""

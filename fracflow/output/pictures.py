@@ -314,7 +314,7 @@ def _draw_profiles(
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
     first = f"{run.at(fractures.begins)} dashed, " if fractures.has_before else ""
     when = "" if scale.is_constant else f": {first}{run.at(fractures.time)}"
-    axes.set_title(f"{word} along {of}{when}")
+    axes.set_title(f"{word} along {of}{when}", wrap=True)
     s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)
     drawn = {}
     for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):

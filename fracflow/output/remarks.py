@@ -13,7 +13,7 @@ _LIMIT = re.compile(
     r"limit point: (?:.* is near: )?"
     rf"(?P<words>fracture .*? at \((?P<x>{_COORDINATE}), (?P<y>{_COORDINATE})\), slipping patch [^;]*)"
 )
-_DIFFERS = re.compile(r"^(probe|well)\.\S+|\bof \S+ is\b|[-+.\d]+(e[-+]?\d+)?")
+_DIFFERS = re.compile(r"^(probe|well)\.\S+|^absorbing [^:]+|\bof \S+ is\b|[-+.\d]+(e[-+]?\d+)?")
 
 
 def alike(lines: Iterable[str]) -> list[str]:

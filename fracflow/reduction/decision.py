@@ -23,6 +23,7 @@ class Decision:
     stage   the stage that it is about, empty for the whole run
     undone  when it was taken back during the run, and by which value; empty while it stands
     asked   the scene has it; its number in the pre-run checks shows whether it should have a part that it lacks
+    added   the run made it
     """
 
     part: str
@@ -35,10 +36,13 @@ class Decision:
     stage: str = ""
     undone: str = ""
     asked: bool = True
+    added: bool = False
 
     @property
     def verdict(self) -> str:
         """In a word or two."""
+        if self.added:
+            return "added"
         return "not in the scene" if not self.asked else "left out" if self.left_out else "kept"
 
 

@@ -20,7 +20,7 @@ from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set
 from fracflow.output.remarks import MESH_OF_EVENTS
 from fracflow.reduction.decision import Decision
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths
-from fracflow.reduction.unresolved import unresolved
+from fracflow.reduction.unresolved import unresolved, unresolved_slip
 from fracflow.remarks import note
 from fracflow.scene.method import Points
 from fracflow.scene.scene import Scene
@@ -124,7 +124,7 @@ def mesh_of_events(when: str, why: str, cells: int, nodes: int) -> Decision:
     """The record of a run whose rock was not meshed until an event needed it."""
     return Decision(
         MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes, made at time {when}",
-        "made at the first one", "none", f"nothing: {why}",
+        "made at the first one", "none", f"nothing: {why}", added=True,
     )  # fmt: skip
 
 
@@ -149,6 +149,7 @@ def with_event_mesh(
         if comm.bcast(saved is None, root=0):
             block = found.operators.blocks.solid
             lines = unresolved(scene, mesh, placed.wells, RockCells.of(block, block.cell_ids, comm))
+            lines += on_root(comm, lambda: unresolved_slip(scene, mesh, placed.wells) if mesh else []) or []
             found = replace(found, placed=replace(found.placed, notes=(*lines, *found.placed.notes)))
     return replace(
         found, stated=model.stated, sides=model.sides, bounded=model.bounded, of_event=True, unmeshed=model.mesh

@@ -12,6 +12,7 @@ from fracflow.diagnostics.fracture_flow import EVENT_STEPS
 from fracflow.diagnostics.joints import gather, rock_values
 from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
@@ -174,19 +175,19 @@ def worst_of(scene: Scene, cells: RockCells) -> WorstCell:
 
 def needs(view: CheckInput, mesh: SplitMesh, worst: WorstCell) -> list[Need]:
     """All lengths of a scene, each where its mesh is worst at it."""
-    return [*_along_fractures(view, mesh), *_in_rock(view, worst)]
+    return [*_along_fractures(view, mesh), *_in_rock(view, worst, extent_of(mesh.points))]
 
 
 def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     joints = view.joints
     if not len(joints.length):
         return
-    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
+    middle, extent = mesh.points[mesh.joint_bottom].mean(axis=1), extent_of(mesh.points)
 
     def need(what: str, size: Floats, is_listed: bool = True) -> Iterator[Need]:
         worst = int(np.argmax(joints.length / size))
         if np.isfinite(size[worst]):
-            where = f"{joints.names[joints.fracture[worst]]} at {_spot(middle[worst])}"
+            where = f"{joints.names[joints.fracture[worst]]} at {place_text(middle[worst], extent)}"
             yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_listed, where)
 
     for what, size in slip.longest_joints(view).items():
@@ -209,12 +210,12 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
         yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
 
 
-def _in_rock(view: CheckInput, worst: WorstCell) -> Iterator[Need]:
+def _in_rock(view: CheckInput, worst: WorstCell, extent: float) -> Iterator[Need]:
     for what, period, is_listed in _periods(view, worst.lowest):
         wave = f"wave of {view.scene.time_text(period, 3)}, {what}, / {PER_WAVE}"
         size = period * worst.speed / PER_WAVE
         if np.isfinite(size):
-            yield Need(wave, size, worst.size, False, is_listed, f"{worst.rock} at {_spot(worst.middle)}")
+            yield Need(wave, size, worst.size, False, is_listed, f"{worst.rock} at {place_text(worst.middle, extent)}")
 
 
 def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
@@ -391,7 +392,3 @@ def _why(key: str, found: list[Need], most: str) -> str:
     least = min((need for need in found if key == "size_at_fractures" or not need.along), key=lambda need: need.size)
     short = f"; {most} do not reach it" if least.found > least.size else ""
     return f"{least.what} = {least.size:.3g}{least.where and f', {least.where}'}{short}"
-
-
-def _spot(point: Floats) -> str:
-    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

@@ -10,6 +10,7 @@ import numpy as np
 from fracflow.diagnostics import slip
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import CheckInput
+from fracflow.diagnostics.thin_rock import thin_rock_lines
 from fracflow.integrators import stepper_from
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
@@ -40,7 +41,7 @@ def unresolved(
     rock = RockSizes(
         worst_of(scene, cells), cells.exceeded_in(FAR) if drops else 0.0, None if weak is None else weak.beside(cells)
     )
-    return on_root(comm, lambda: [] if view is None or mesh is None else _unresolved(view, mesh, wells, rock)) or []
+    return on_root(comm, lambda: [] if view is None or mesh is None else _unresolved(view, mesh, rock)) or []
 
 
 @dataclass(frozen=True)
@@ -52,16 +53,22 @@ class RockSizes:
     beside: Beside | None
 
 
-def _unresolved(view: CheckInput, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]], rock: RockSizes) -> list[str]:
-    scene, unit = view.scene, view.unit(LENGTH)
-    coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
+def unresolved_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
+    """A line for each length of slip that a mesh does not resolve: those of the pre-run checks. On one process."""
     late = "how slip begins and how far it runs depends on the mesh in"
-    lines = [f"mesh: {what} is not resolved: {late} {slip.of_fractures(names)}" for what, names in coarse.items()]
+    coarse = slip.coarse_of_slip(scene, mesh, wells)
+    return [f"mesh: {what} is not resolved: {late} {slip.of_fractures(names)}" for what, names in coarse.items()]
+
+
+def _unresolved(view: CheckInput, mesh: SplitMesh, rock: RockSizes) -> list[str]:
+    scene, unit = view.scene, view.unit(LENGTH)
+    lines = []
     for need in needs(view, mesh, rock.worst):
         if need.is_listed and SAME * need.found > need.size:
             asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
             has = f"has {need.found:.3g}{unit}, {need.where}"
             lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
+    lines += thin_rock_lines(scene, mesh)
     return [*lines, *_keeping_waves(view, rock.far), *_coarse_beside(view, rock.beside)]
 
 

@@ -388,14 +388,15 @@ def plan_table(run: RunReport) -> str:
         heads = ("part", "criterion", "value", "limit", "saves" if is_out else "why", "may err by")
         cells = (
             (part_of(each), each.get("criterion", ""), short(each.get("value", "")), short(each.get("limit", "")), saved(each),
-             "" if each.get("verdict") == "kept" else each.get("error", ""))
+             "" if each.get("verdict") in ("kept", "added") else each.get("error", ""))
             for each in parts
         )  # fmt: skip
         filled = [*zip(heads, zip(*cells, strict=True), strict=True)]
         return of_columns([column for column in filled if any(column[1])], "wide")
 
     text = ""
-    for verdict, word in (("left out", "Left out"), ("not in the scene", "Not in the scene"), ("kept", "Kept")):
+    for verdict, word in (("left out", "Left out"), ("added", "Added"), ("not in the scene", "Not in the scene"),
+                          ("kept", "Kept")):  # fmt: skip
         parts = [each for each in run.plan if each.get("verdict", "kept") == verdict]
         if parts and verdict == "left out":
             text += f"<h3>{word}</h3>{rows(parts)}"

@@ -298,7 +298,9 @@ def _actions(scene: Tables) -> Iterator[Fault]:
             and scene.fracture
             and all(JOINT_LAWS[table.law].creeps for table in scene.fracture.values())
         ):
-            why = 'is "incipient", and fractures of law = "rate-and-state" slip at any stress: leave it out'
+            slow = "which slip at any stress, so that the search has no end"
+            why = f'= "incipient" looks for the first fracture at its strength; all are of law = "rate-and-state", {slow}:'
+            why += f' leave until and control.{stage.control} out, with kind = "quasi-static", time_step and end'
             yield ("stage", index, "until"), why
         if stage.takes_no_time:
             continue

@@ -11,6 +11,7 @@ from fracflow.advance.slip_rate import creeps
 from fracflow.advance.step import Step
 from fracflow.advance.wells import reached_before
 from fracflow.integrators import EXPLICIT
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
@@ -217,6 +218,7 @@ def suction_line(model: Model, state: State) -> str:
         return ""
     joints = blocks.joints
     pressure, ends = flow.at_ends(state.pressure), blocks.solid.points[joints.bottom]
+    extent = extent_of(blocks.solid.points)
     pressure = np.where(initial_pressure(scene, ends) > 0.0, pressure, np.inf)
     here = (np.inf, "", 0.0, 0.0)
     if pressure.size and pressure.min() < limit:
@@ -226,11 +228,11 @@ def suction_line(model: Model, state: State) -> str:
     lowest, name, x, y = min(blocks.comm.allgather(here))
     if not name:
         return ""
-    system = scene.unit_system
+    system, at = scene.unit_system, place_text((x, y), extent)
     pressures, lengths = map(system.behind, (STRESS, LENGTH))
     time = f"time {scene.time_text(state.time)}"
     return (
-        f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
+        f"{time}: the pressure in {name} at {at}{lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
         " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
     )

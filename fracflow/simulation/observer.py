@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fracflow.advance.step import Step
-    from fracflow.solve.problem import Work
+    from fracflow.solve.problem import TrialProgress
 
 
 class Observer:
@@ -19,8 +19,8 @@ class Observer:
     def trial(self, time: float, length: float, why: str) -> None:
         """A step without inertia of a stage auto was tried from a time, and rejected [time]. On every rank."""
 
-    def follow(self, work: Work) -> None:
-        """The run's work, which grows while a step is made. On every rank."""
+    def follow(self, trial: TrialProgress) -> None:
+        """The trial under way, which changes while a step is made. On every rank."""
 
     def saved(self, steps: int) -> None:
         """The state after so many steps is on disk. On rank 0 only."""

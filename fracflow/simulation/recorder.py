@@ -205,7 +205,7 @@ class Recorder:
         for line in self.totals.summary(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if (files := self.files) is not None:
-            done = factorisations(self.totals.newton, self.totals.factorisations)
+            done = factorisations(self.totals.counts["newton"], self.totals.counts["factorisations"])
             self._write(lambda files: files.write_plan([*files.decisions, *self._meshed(), done]))
             self._write(lambda files: write_status(files.folder, status))
             self._write_lost(files)

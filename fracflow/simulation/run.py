@@ -330,7 +330,7 @@ def _steps(
     Where an event needs a mesh, the step returned takes no time and is not on record.
     """
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
-    observer.follow(stepping.work)
+    observer.follow(stepping.work.trial)
     failure: SolveError | Interrupted | DiskError | None = None
     going_on = step.progress or {}
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fracflow.errors import SolveError
-from fracflow.model.state import StepReport
+from fracflow.model.state import COUNTS, StepReport
 from fracflow.remarks import marked, note
 from fracflow.solve.problem import Work
 
@@ -22,10 +22,9 @@ class Totals:
     """Counts over the run.
 
     injected  net volume that wells have brought, as in the last state [length^3]
-    rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them.
+    counts    of all steps, as of ``StepReport``. Those rejected and wasted are also of a step that failed.
     evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
-    solved    explicit steps that solved joints without a fluid, and ``refused``, those whose guess the laws refused
     missed    work of friction that steps with inertia miss, and ``turning``, whether the log has a line on it
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
@@ -35,8 +34,7 @@ class Totals:
     """
 
     steps: int = 0
-    newton: int = 0
-    factorisations: int = 0
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))
     narrowest: float = np.inf
     narrow_time: float = np.nan
     least: int = 0
@@ -46,8 +44,6 @@ class Totals:
     handed_over: int = 0
     reported_factor: float = np.nan
     injected: float = 0.0
-    rejected: int = 0
-    wasted: int = 0
     evaluations: int = 0
     factored: int = 0
     strained: int = 0
@@ -56,8 +52,6 @@ class Totals:
     sucked: int = 0
     widening: float = 1.0
     missed: float = 0.0
-    solved: int = 0
-    refused: int = 0
     turning: int = 0
     doubts: list[str] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
@@ -68,17 +62,15 @@ class Totals:
     @classmethod
     def of(cls, saved: Mapping[str, Any]) -> Totals:
         """Those that a checkpoint keeps, under names of earlier versions too. Raises TypeError for others."""
-        return cls(**{EARLIER.get(name, name): value for name, value in saved.items()})
+        known = {EARLIER.get(name, name): value for name, value in saved.items()}
+        counts = dict.fromkeys(COUNTS, 0) | {name: known.pop(name) for name in COUNTS if name in known}
+        return cls(**known | {"counts": counts | known.get("counts", {})})
 
     def add(self, report: StepReport) -> None:
         """Count a step."""
         self.steps += 1
-        self.newton += report.newton
-        self.factorisations += report.factorisations
-        self.rejected += report.rejected
-        self.wasted += report.wasted
-        self.solved += report.solved
-        self.refused += report.refused
+        for name in COUNTS:
+            self.counts[name] += getattr(report, name)
 
     def observe(self, time: float, margin: float, least: int, least_flow: float) -> None:
         """Keep the smallest margin of a status with its time, and the most that minimum apertures did; see ``Snapshot``."""
@@ -88,19 +80,25 @@ class Totals:
 
     def give_up(self, failure: SolveError) -> None:
         """Count the trials of a step that failed."""
-        self.rejected += failure.trials
-        self.wasted += failure.newton
+        self.counts["rejected"] += failure.trials
+        self.counts["wasted"] += failure.newton
 
     def spend(self, work: Work) -> None:
         """Count the work since the last time, and let it be counted."""
         self.evaluations, self.factored = self.evaluations + work.evaluations, self.factored + work.factorisations
         work.evaluations = work.factorisations = 0
 
+    def in_words(self) -> str:
+        """Steps and their largest counts."""
+        newton, factorisations = self.counts["newton"], self.counts["factorisations"]
+        return f"{self.steps} steps, {newton} Newton iterations, {factorisations} factorisations"
+
     def besides(self) -> str:
         """The rejected trials, in words; empty without any."""
-        if not self.rejected:
+        rejected, wasted = self.counts["rejected"], self.counts["wasted"]
+        if not rejected:
             return ""
-        return f"; besides {self.rejected} trials rejected, on which {self.wasted} Newton iterations were spent"
+        return f"; besides {rejected} trials rejected, on which {wasted} Newton iterations were spent"
 
     def summary(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """The lines that end the log, after so many ``seconds``."""
@@ -121,14 +119,12 @@ class Totals:
             )
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"
-        if self.refused:
-            yield f"joints of {self.refused} of {self.solved} explicit steps took more than the guess of the compiled loops"
+        refused, solved, newton = (self.counts[name] for name in ("refused", "solved", "newton"))
+        if refused:
+            yield f"joints of {refused} of {solved} explicit steps took more than the guess of the compiled loops"
         if self.evaluations:
             yield (
                 f"work in all: {self.evaluations} evaluations of the balances, {self.factored} factorisations;"
-                f" {self.evaluations / max(self.newton, 1):.1f} evaluations for each iteration of an accepted step"
+                f" {self.evaluations / max(newton, 1):.1f} evaluations for each iteration of an accepted step"
             )
-        yield (
-            f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations"
-            f"{self.besides()} in {seconds:.2f} s"
-        )
+        yield f"{self.in_words()}{self.besides()} in {seconds:.2f} s"

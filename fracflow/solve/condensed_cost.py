@@ -80,7 +80,7 @@ def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks:
 Key = tuple[float, float]
 """Shares of mass and damping, by which a time integrator enters the rock's matrix."""
 SMALLEST = 500  # displacements: of fewer a factorisation is the least of a step (report_5_5: 3.4 against 4.1 CPU s)
-CLEARLY = 1.5  # times less work in a step: a step that is solved again for all unknowns outweighs a small gain
+WORTH_CONDENSING = 1.5  # times less work in a step: a step that is solved again for all unknowns outweighs a small gain
 AT_LEAST = 2.0  # times the number of steps at which condensing the rock breaks even
 
 
@@ -112,7 +112,7 @@ def key_of(alphas: Alphas, damps: bool) -> Key:
 
 def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool) -> Condensing:
     """The plan for so many displacements and jumps of joints."""
-    clearly = full_step(unknowns) >= CLEARLY * condensed_step(unknowns, jumps, ranks=ranks)
+    clearly = full_step(unknowns) >= WORTH_CONDENSING * condensed_step(unknowns, jumps, ranks=ranks)
     pays = break_even(unknowns, jumps, ranks=ranks) if jumps and clearly and fits(unknowns, jumps) else math.inf
     steps: dict[Key, float] = {}
     for _, alphas, count in planned(scene):

@@ -11,6 +11,7 @@ from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.properties import on_joints
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import worst_fracture
@@ -233,13 +234,13 @@ def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
 def places_of(blocks: Blocks, chosen: Bools, natural: Floats) -> str:
     """Fractures and places, over all ranks, of the first of the chosen sections (s,). Collective."""
     ends = blocks.solid.points[blocks.joints.bottom]
-    points = on_joints(ends, natural).reshape(-1, ends.shape[-1])
+    points, extent = on_joints(ends, natural).reshape(-1, ends.shape[-1]), extent_of(blocks.solid.points)
     here = [
-        (blocks.joints.fractures[blocks.joints.fracture[s // len(natural)]], *(f"{v:.6g}" for v in points[s]))
+        (blocks.joints.fractures[blocks.joints.fracture[s // len(natural)]], place_text(points[s], extent))
         for s in np.flatnonzero(chosen)
     ]
     found = sorted({place for part in blocks.comm.allgather(here) for place in part})
-    listed = ", ".join(f"{name} at ({', '.join(place)})" for name, *place in found[:MOST_PLACES])
+    listed = ", ".join(f"{name} at {place}" for name, place in found[:MOST_PLACES])
     return listed + (f" and {len(found) - MOST_PLACES} more places" if len(found) > MOST_PLACES else "")
 
 

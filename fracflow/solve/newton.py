@@ -364,7 +364,8 @@ class Newton:
         self._out_of_balance.append(problem.residual.out_of_balance)
         problem.tried += iteration > 0
         sizes = problem.residual
-        problem.work.iteration, problem.work.unbalanced = problem.tried, max(sizes.solid, sizes.flow, sizes.at_nodes)
+        trial = problem.work.trial
+        trial.iteration, trial.unbalanced = problem.tried, max(sizes.solid, sizes.flow, sizes.at_nodes)
         if iteration == 0:
             self._inner.begin()
         returns = self._inner.see(statuses(problem))

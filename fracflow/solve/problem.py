@@ -7,7 +7,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,17 +50,24 @@ Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pr
 
 
 @dataclass
-class Work:
-    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for.
+class TrialProgress:
+    """The trial under way, as a screen shows it.
 
-    iteration   of Newton's method in the trial under way
-    unbalanced  its share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
+    iteration   of Newton's method
+    unbalanced  share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
     """
+
+    iteration: int = 0
+    unbalanced: float = np.inf
+
+
+@dataclass
+class Work:
+    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
 
     evaluations: int = 0
     factorisations: int = 0
-    iteration: int = 0
-    unbalanced: float = np.inf
+    trial: TrialProgress = field(default_factory=TrialProgress)
 
 
 class StepProblem:

@@ -24,11 +24,11 @@ NUMBER = 8.0  # bytes
 SWIFT_FROM, SWIFT_TO = 1_000, 400_000
 """Displacements between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 it factors in the same time,
 and solves in a fifth to a third of it (scripts/bench iteration)."""
-CLEARLY = 1.5  # times less
+WORTH_GRIDS = 1.5  # times less time than by factors, from which on multigrid is taken
 
 
 @dataclass(frozen=True)
-class Shares:
+class CostShares:
     """Measured shares of a problem in the plane, or in space.
 
     operations   CPU s of the power ``grows`` of a million unknowns, in a factorisation
@@ -55,11 +55,11 @@ class Shares:
 
 
 SHARES = {
-    2: Shares(
+    2: CostShares(
         grows=1.5, operations=3.3, more_costly=2.4, solves=0.11, numbers=10.0, works=90.0,
         sets_up=1.6, iterates=0.15, holds=88.0, iterations=9.0, more=0.05,
     ),
-    3: Shares(
+    3: CostShares(
         grows=2.0, operations=1160.0, more_costly=1.0, solves=0.25, numbers=40.0, works=90.0,
         sets_up=16.0, iterates=1.7, holds=600.0, iterations=15.0, more=0.12,
     ),
@@ -164,7 +164,7 @@ class RockChoice:
         by_factors, by_grids = direct(unknowns, dim), multigrid(unknowns, dim)
         time, held = by_grids.seconds / by_factors.seconds, by_grids.bytes / by_factors.bytes
         expected = f"{unknowns} displacements, {time:.2g} times the time and {held:.2g} times the memory of LU expected"
-        takes = by_factors.seconds > CLEARLY * by_grids.seconds or by_factors.bytes > memory
+        takes = by_factors.seconds > WORTH_GRIDS * by_grids.seconds or by_factors.bytes > memory
         return cls(takes, unknowns, memory, f"{expected}, {memory / 1e9:.3g} GB at hand")
 
 

@@ -31,8 +31,11 @@ def work_of(scene: Path) -> tuple[object, ...]:
         given, began = fracflow.load(scene, ["output.pictures=false"]), process_time()
         totals = run(given, Path(folder) / "run")
         seconds = process_time() - began
-    each, made = totals.evaluations / max(totals.newton, 1), max(totals.newton + totals.wasted, 1)
-    counts = (totals.steps, totals.newton, totals.wasted, totals.evaluations, totals.factored)
+    each, made = (
+        totals.evaluations / max(totals.counts["newton"], 1),
+        max(totals.counts["newton"] + totals.counts["wasted"], 1),
+    )
+    counts = (totals.steps, totals.counts["newton"], totals.counts["wasted"], totals.evaluations, totals.factored)
     return given.name, *counts, round(each, 2), round(seconds, 2), round(seconds / made, 4)
 
 

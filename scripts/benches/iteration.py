@@ -62,7 +62,7 @@ def worker(scene: str, folder: str, result: str, *overrides: str) -> None:
     watch.lap()
     if MPI.COMM_WORLD.rank:
         return
-    made = totals.newton + totals.wasted
+    made = totals.counts["newton"] + totals.counts["wasted"]
     each = {name: 1e3 * watch.parts[name]["cpu"] / made for name in (*OF_ITERATION, *OF_STEP)}
     spent = {name: sum(logged(event, "time") for event in events) for name, events in EVENTS.items()}
     wall, cpu = watch.parts[PETSC]["wall"], each.pop(PETSC)

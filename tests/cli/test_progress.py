@@ -19,7 +19,7 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
-from fracflow.solve.problem import StepProblem, Work
+from fracflow.solve.problem import StepProblem, TrialProgress
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
 AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)
@@ -238,11 +238,11 @@ def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
     monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.02)
     with Screen(Console(stderr=True), "a run") as screen:
         screen.show("stage 1 of 1 (shock): dynamic, step 4 of 10", 0.4)
-        screen.follow(Work(iteration=7, unbalanced=3.14e-5))
+        screen.follow(TrialProgress(iteration=7, unbalanced=3.14e-5))
         time.sleep(0.1)
     said = capfd.readouterr().err.splitlines()[-1]
     assert said.endswith("step 4 of 10, and this for 0 s at Newton iteration 7, 3.1e-05 out of balance")
-    assert inside(Work(), 9.0, 5.0) == ", and this for 9 s"  # nothing is known of a first iteration under way
+    assert inside(TrialProgress(), 9.0, 5.0) == ", and this for 9 s"  # nothing is known of a first iteration under way
 
 
 @pytest.mark.serial
@@ -251,14 +251,14 @@ def test_a_run_is_followed_into_its_steps(tmp_path, comm, monkeypatch):
     found, seen, destroy = [], [], StepProblem.destroy
 
     def ended(problem):
-        seen.append((problem.work, problem.work.iteration, problem.work.unbalanced))
+        seen.append((problem.work.trial, problem.work.trial.iteration, problem.work.trial.unbalanced))
         destroy(problem)
 
     monkeypatch.setattr(StepProblem, "destroy", ended)
     run(
         small(tmp_path, comm),
         tmp_path / "out",
-        progress=RunProgress(small(tmp_path, comm), lambda *_: None, on_work=found.append),
+        progress=RunProgress(small(tmp_path, comm), lambda *_: None, on_trial=found.append),
     )
-    assert seen and all(work is found[0] and count > 0 and left < 1e-6 for work, count, left in seen)
+    assert seen and all(trial is found[0] and count > 0 and left < 1e-6 for trial, count, left in seen)
     assert inside(found[0], 7.0, 5.0) == ", and this for 7 s"

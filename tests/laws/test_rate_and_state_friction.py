@@ -177,11 +177,11 @@ def test_a_cycle_has_the_period_of_an_ode_solver():
     assert np.diff(onsets(times[:, 0], rates[:, 0], fast))[0] == pytest.approx(exact, rel=1e-4)
 
 
-def allowed(slip, before, after):
+def allowed(slip, before, after, comm=MPI.COMM_SELF):
     """Slip of a step over the allowed one, a tenth of D_c, at rates before it and after."""
     accuracy = SimpleNamespace(slip_share=0.1, tolerance=None)
     joints = SimpleNamespace(laws=(SimpleNamespace(law=friction(np.full(1, RATE)), sections=np.arange(1)),))
-    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=MPI.COMM_SELF))
+    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=comm))
     states = (
         SimpleNamespace(
             sections=SimpleNamespace(
@@ -198,3 +198,5 @@ def test_steps_follow_slip_that_slows_down():
     assert allowed(0.05 * D_C, RATE, RATE) == pytest.approx(0.5)
     assert allowed(0.05 * D_C, RATE, RATE / np.e) == pytest.approx(0.05 ** (1 / 3) / 0.1)
     assert allowed(1e-9 * D_C, RATE, RATE / np.e) == pytest.approx(0.01), "what hardly slips needs no short steps"
+    farther = SimpleNamespace(allreduce=lambda value, op: max(value, 7.0) if op == MPI.MAX else np.nan)
+    assert allowed(0.05 * D_C, RATE, RATE, farther) == 7.0, "of another rank"

@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fracflow.errors import InputError
+from fracflow.mesh.places import place_text
 from fracflow.mesh.plane.near import HEAD, MOST, near_miss_lines
 from fracflow.mesh.plane.traces import FRACTION, natural_snap
 from fracflow.mesh.read import GeometrySpec, build_mesh, network_of
@@ -182,3 +183,8 @@ def test_the_snap_that_is_told_joins(traces):
         at = [network.points[np.unique(network.edges[network.owner == owner])] for owner in (one, other)]
         away = np.linalg.norm(at[0][:, None] - at[1], axis=2).min()
         assert away == 0.0, (miss, away)
+
+
+def test_a_coordinate_below_round_off_is_zero():
+    assert place_text((-3.55e-14, 2.0), 100.0) == "(0, 2)"
+    assert place_text((-3.55e-14, 2.0), 1e-6) == "(-3.55e-14, 2)"

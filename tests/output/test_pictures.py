@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
-from fracflow.output.pictures import _overview, _probes, _wells, draw
+from fracflow.output.pictures import _draw_profiles, _overview, _probes, _wells, draw
 from fracflow.output.plot_style import styled
 from fracflow.output.reader import FractureFields, load_run_data
+from fracflow.scene.quantities import QUANTITIES
 
 pytestmark = pytest.mark.serial
 
@@ -160,6 +163,19 @@ def test_a_panel_shows_what_changes(tmp_path):
     wide, thin = (found["Pressure at 20 ms: no fracture had slipped"] for found in titles)
     assert wide.get_ylabel() == "y [ft]" and thin.get_ylabel() == "y [ft]\nstretched ×5"
     assert thin.bbox.width > 0.8 * figures[1].bbox.width and wide.bbox.width < 0.6 * figures[0].bbox.width
+
+
+def test_a_long_title_goes_on_below(tmp_path):
+    data = load_run_data(make_run(tmp_path))
+    with styled():
+        figure = Figure(figsize=(3.0, 3.0), layout="constrained")
+        axes = figure.subplots()
+        _draw_profiles(axes, data, QUANTITIES["pressure"])
+        figure.draw_without_rendering()
+        (title,) = (
+            text for text in axes.findobj(Text) if text.get_text() and text.get_text() == axes.get_title(loc="left")
+        )
+        assert title.get_window_extent().x1 <= figure.bbox.x1
 
 
 def test_an_empty_folder_is_an_input_error(tmp_path):

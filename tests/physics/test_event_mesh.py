@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.event_rock import handed_over
+from fracflow.advance.event_rock import _as_traction, handed_over
 from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.api import Run
@@ -116,7 +116,11 @@ def test_nothing_slips_by_the_change_of_rock(scene, comm):
     new.loads.standing().release(left)
     assert left.norm() < 1e-12 * new.operators.scales.force
     assert 0.0 < found.mean < found.most < 5e4
-    for each in (state, found.state, left):
+    push, joints = left.duplicate(), new.operators.joints
+    push.set(0.0)
+    joints.force(np.tile([0.0, 5.0], (len(joints.weights), 1)), push)
+    assert _as_traction(new.operators, push)[1] == pytest.approx(5.0), "across the fault, everywhere"
+    for each in (state, found.state, left, push):
         each.destroy()
 
 
@@ -186,7 +190,7 @@ def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
     cells = len(load_mesh(shared_tmp / "run" / "event_mesh.h5").cells)
     when = load(scene).time_text(history["time"][now])
     assert made["value"].startswith(f"{cells} cells") and made["value"].endswith(f"made at time {when}")
-    assert len(made["saves"]) > len("nothing: ")
+    assert made["verdict"] == "added" and len(made["saves"]) > len("nothing: ")
     largest = max(np.abs(history[key]).max() for key in history if key.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() < 1e-10 * largest
     kinds = history["step/kind"]

@@ -75,7 +75,10 @@ def test_a_dynamic_stage_goes_on_from_a_limit_point_and_so_does_a_resumed_run(sh
         same = (np.array_equal(whole[key], stopped[key], equal_nan=True) for key in {*whole} - {"step/factorisations"})
         assert all(same)
     # the trials of the step that ends at the limit point led to no row of the history
-    assert totals.rejected > whole["step/rejected"].sum() and totals.wasted > whole["step/wasted"].sum()
+    assert (
+        totals.counts["rejected"] > whole["step/rejected"].sum()
+        and totals.counts["wasted"] > whole["step/wasted"].sum()
+    )
     at_rest = whole["step/kind"] == 1
     assert 0.5 * STEP > np.diff(whole["time"][at_rest])[-1]
     assert whole["time"][at_rest][-1] == pytest.approx(ONSET, abs=STEP / 64.0)

@@ -62,7 +62,20 @@ def test_check_prints_decisions_sizes_and_cost(tmp_path):
     for word in ("fracture storage", "may err by", "left out", "displacement unknowns", "memory, about", "CPU s: "):
         assert word in done.output
     told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
-    keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone", "asked", "verdict"}
+    keys = {
+        "part",
+        "left_out",
+        "criterion",
+        "value",
+        "limit",
+        "error",
+        "saves",
+        "stage",
+        "undone",
+        "asked",
+        "added",
+        "verdict",
+    }
     assert all(set(each) == keys for each in told["plan"])
 
 

@@ -10,16 +10,20 @@ import sys
 import time
 import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fracflow.errors import InputError
+from fracflow.model.state import COUNTS as COUNTS_OF_STEPS
+from fracflow.model.state import StepReport
 from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.output.status import STOPPED, read_status
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
+from fracflow.simulation.totals import Totals
 
 pytestmark = [pytest.mark.serial, pytest.mark.starts_ranks]
 ROOT = Path(__file__).parents[2]
@@ -204,3 +208,14 @@ def test_what_is_no_run_is_refused(tmp_path):
     (tmp_path / "checkpoint.h5").write_bytes(b"rubbish")
     with pytest.raises(InputError, match="is no checkpoint"):
         resume(tmp_path)
+
+
+def test_totals_of_earlier_checkpoints_and_of_every_count():
+    earlier = {"steps": 2, "newton": 5, "rejected": 1, "told_factor": 0.5}
+    totals = Totals.of(earlier)
+    totals.add(StepReport(newton=2, **{name: 1 for name in COUNTS_OF_STEPS if name != "newton"}))
+    assert totals.steps == 3 and totals.reported_factor == 0.5
+    assert totals.counts == dict.fromkeys(COUNTS_OF_STEPS, 1) | {"newton": 7, "rejected": 2}
+    assert Totals.of(asdict(totals)).counts == totals.counts
+    twice = StepReport(krylov=3).after(StepReport(krylov=4, refused=1))
+    assert (twice.krylov, twice.refused) == (7, 1)

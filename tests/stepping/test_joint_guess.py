@@ -118,3 +118,15 @@ def test_columns_in_c_are_those_handed_to_it():
     text = Path(guess.__file__).with_name("joints.c").read_text(encoding="utf-8")
     columns = re.search(r"enum \{ (KIND.*?), LAW \};", text)
     assert columns and columns[1].split(", ") == ["KIND", "WEIGHT", *(given[name] for name in guess.PARAMETERS)]
+
+
+def test_the_guess_knows_the_round_off_of_joints_almost_closed():
+    """There friction follows the closure so steeply that round-off of strains is most of what is left of the motion."""
+    rng = np.random.default_rng(5)
+    joints, clusters = joints_of(rng), clusters_of(rng)
+    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=MPI.COMM_SELF), blocks=None)
+    solver = JointSolver(operators, clusters, 30)
+    sections = joints.evaluate(np.zeros((COUNT, 2)), joints.initial_history())
+    for _ in range(10):
+        free = rng.uniform(0.5, 1.0, (COUNT, 2)) * [1.0, -1.0]  # a thousand apertures
+        assert solver.guess.solve(sections, free, 1.0).iterations > 0

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.places import extent_of, without_round_off
 from fracflow.mesh.plane.planar_graph import near_edges
 from fracflow.mesh.plane.traces import TraceNetwork
 
@@ -72,6 +73,7 @@ def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[st
     points = _Points(network)
     found: list[NearMiss] = []
     taken: dict[tuple[int, int], list[Floats]] = {}
+    extent = extent_of(network.points)
     label = [f'fracture "{name}"' for name in traces] + [f"side {name}" for name in reversed(sides)]
     for distance, point, owner, place in sorted(_apart(network, points, reach), key=lambda each: each[:3]):
         own, here = points.owners[point], network.points[point]
@@ -87,8 +89,8 @@ def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[st
         for pair in pairs:
             taken.setdefault(pair, []).append(here)
         names = tuple(traces[each] for each in own)
-        spot, foot = ((float(each[0]), float(each[1])) for each in (here, place.point))
-        found.append(NearMiss(kind, names, spot, label[owner], foot, distance, _up(distance)))
+        (x, y), (a, b) = (without_round_off(each, extent) for each in (here, place.point))
+        found.append(NearMiss(kind, names, (x, y), label[owner], (a, b), distance, _up(distance)))
     return sorted(found, key=lambda miss: miss.kind == "end beyond")
 
 

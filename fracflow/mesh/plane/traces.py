@@ -9,6 +9,7 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.planar_graph import PlanarGraph, cross, near_edges, planar_graph_of, settle
 from fracflow.remarks import note
 
@@ -169,11 +170,11 @@ def _check_domain(domain: Floats, snap: float) -> None:
     alone = planar_graph_of(domain, [])
     gaps = np.linalg.norm(domain - np.roll(domain, -1, axis=0), axis=1)
     if gaps.min() <= snap:
-        where = _spot(domain[np.argmin(gaps)])
+        where = place_text(domain[np.argmin(gaps)], extent_of(domain))
         raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}")
     touching = near_edges(alone.points, alone.edges, np.arange(len(domain)), snap)[0]
     if len(touching):
-        where = _spot(domain[touching[0]])
+        where = place_text(domain[touching[0]], extent_of(domain))
         raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")
     if cross(alone, snap) is not alone or polygon_area(domain) <= snap * gaps.max():
         raise InputError(
@@ -229,7 +230,7 @@ def _inside(lines: PlanarGraph, domain: Floats, labels: _Labels) -> tuple[Planar
         met = edges[np.isin(edges, lines.edges[lines.owner < 0])]
         met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
-        where = ", ".join(map(_spot, lines.points[met]))
+        where = ", ".join(place_text(place, extent_of(lines.points)) for place in lines.points[met])
         notes.append(note(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out"))
     return replace(lines, edges=lines.edges[~is_out], owner=lines.owner[~is_out]), notes
 
@@ -253,7 +254,7 @@ def _without_repeats(
     for keeper, other in sorted(set(zip(lines.owner[first].tolist(), lines.owner[again].tolist(), strict=True))):
         rows = again[(lines.owner[first] == keeper) & (lines.owner[again] == other)]
         shared, place = length[rows].sum(), lines.points[lines.edges[rows]].reshape(-1, 2)
-        where = f"{_spot(place[0])} to {_spot(place[-1])}"
+        where = " to ".join(place_text(place[row], extent_of(lines.points)) for row in (0, -1))
         whole = min(length[lines.owner == owner].sum() if owner >= 0 else np.inf for owner in (keeper, other))
         limit = np.inf if (min(keeper, other), max(keeper, other)) in shallow else stretch
         if shared > min(limit, 0.5 * whole):
@@ -272,7 +273,7 @@ def _without_repeats(
 
 def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float) -> list[str]:
     """Say which ends, bends and crossings moved, how far and onto what."""
-    at, of = lines.edges.ravel(), np.repeat(lines.owner, 2)
+    at, of, extent = lines.edges.ravel(), np.repeat(lines.owner, 2), extent_of(lines.points)
     moved = np.linalg.norm(lines.points[lines.became] - lines.first, axis=1)
     came_with = np.full(len(lines.points), -1)
     came_with[given.edges.ravel()] = np.repeat(given.owner, 2)
@@ -286,11 +287,11 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
-        before, after = _spot(lines.first[point]), _spot(lines.points[here])
+        before, after = (place_text(each, extent) for each in (lines.first[point], lines.points[here]))
         notes.append(note(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}"))
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
-            notes.append(note(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}"))
+            notes.append(note(f"{labels(trace)}: bent by {distance:.3g} to {place_text(lines.points[point], extent)}"))
     return notes
 
 
@@ -299,11 +300,8 @@ def _check_angles(network: TraceNetwork, labels: _Labels) -> None:
     found = _neighbours(*_ends_at(network.points, network.edges, network.owner))
     for one, other, angle, point in found:
         if angle < LEAST_ANGLE:
+            where = place_text(network.points[point], extent_of(network.points))
             raise InputError(
-                f"geometry: {labels(one)} and {labels(other)} meet at {_spot(network.points[point])} at {angle:.2g}"
+                f"geometry: {labels(one)} and {labels(other)} meet at {where} at {angle:.2g}"
                 f" degrees; the least that can be meshed is {LEAST_ANGLE:g}: turn or join them"
             )
-
-
-def _spot(point: Floats) -> str:
-    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

@@ -107,9 +107,20 @@ def _passes_by(blocks: Blocks, scene: Scene, absorbing: Absorbing, direction: Fl
         return []
     return [
         f"absorbing {', '.join(passed)}: the wave of {', '.join(absorbing.on)} runs along there, and is absorbed as it passes:"
-        " it comes to the middle too weak. Name these sides in the [[absorbing]] of the wave, with wave.direction; or take"
-        " [[tie]] or [[support]] in place of [[absorbing]]"
+        " it comes to the middle too weak. Name these sides in the [[absorbing]] of the wave, with wave.direction; or take, in"
+        f" place of [[absorbing]], [[tie]] of two that face each other, or [[support]]{_lets_pass(absorbing, direction)}"
     ]
+
+
+def _lets_pass(absorbing: Absorbing, direction: Floats) -> str:
+    """The components by which a support along a plane wave leaves it as it is: those across its motion."""
+    assert absorbing.wave is not None
+    along = np.flatnonzero(np.abs(direction) > 1.0 - SAME)
+    if not len(along):
+        return ""
+    axis, other = ("x", "y") if along[0] == 0 else ("y", "x")
+    moves, held = (axis, other) if absorbing.wave.kind == "p" else (other, axis)
+    return f' with components = ["{held}"], as this {absorbing.wave.kind.upper()} wave moves rock along {moves}'
 
 
 def _passes_fractures(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
