@@ -19,13 +19,22 @@ from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
-from fracflow.reduction.event_mesh import cells_of_event, period_of_event
+from fracflow.reduction.event_mesh import cells_of_event, event_scene, period_of_event
 from fracflow.reduction.far_sides import one_obstacle
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
-from fracflow.solve.condensed_cost import BESIDES, ITERATIONS, break_even, fits
+from fracflow.solve.condensed_cost import (
+    BESIDES,
+    ITERATIONS,
+    REFERENCE,
+    break_even,
+    condensed_step,
+    condensing,
+    fits,
+    is_chosen,
+)
 from fracflow.solve.condensed_cost import planned as solved
-from fracflow.solve.rock_cost import NUMBER, direct, rock_choice, without_solves
+from fracflow.solve.rock_cost import NUMBER, RockChoice, direct, rock_choice, without_solves
 
 DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed, as measured with 1000 joints
 SERIES = 4000.0  # the same for an unknown of rock by multipoles, by scripts/bench multipoles
@@ -95,10 +104,20 @@ def _of_events(model: Model, each: float) -> dict[str, str]:
     if not model.scene.is_unbounded or not model.scene.has_dynamics:
         return cost_of_events(model, each, ITERATIONS)
     cells = int(cells_of_event(model.scene, model.bounded))
-    each = direct(cells).seconds * (1.0 + BESIDES) + OWN  # two displacements a node, which two cells have
+    each = _in_event(model, cells)
     period = period_of_event(model.scene, model.bounded)
     mesh = {"mesh of the first event, about": f"{cells:.2g} cells, made in {MESHES * cells:.2g} CPU s"}
     return mesh | cost_of_events(model, each, ITERATIONS, period)
+
+
+def _in_event(model: Model, cells: int) -> float:
+    """CPU s of an iteration on the mesh of an event, with its rock condensed to the joints where the run has it so."""
+    scene, unknowns = event_scene(model.scene, model.bounded), cells  # two displacements a node, which two cells have
+    jumps = len(model.operators.joints.weights) * model.operators.joints.dim
+    plan = condensing(scene, unknowns, jumps, ranks=1, damps=True)
+    if is_chosen(scene, plan, RockChoice(unknowns=unknowns)):
+        return condensed_step(unknowns, jumps) * direct(int(REFERENCE)).seconds / ITERATIONS + OWN
+    return direct(unknowns).seconds * (1.0 + BESIDES) + OWN
 
 
 def _cost(model: Model, steps: int) -> dict[str, str]:

@@ -53,7 +53,7 @@ def event_scene(scene: Scene, bounded: Scene | None = None) -> Scene:
     keys = {
         "domain": corners,
         "size": max(size, fine) / 2**geometry.refine,
-        "growth": growth_of(scene, size, corners),
+        "growth": growth_of(bounded or scene, size, corners)[0],
         "refine": 0,
     }
     return scene.model_copy(update={"geometry": geometry.model_copy(update=keys), **sides})

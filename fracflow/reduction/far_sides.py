@@ -145,7 +145,7 @@ def _cpu(scene: Scene) -> tuple[float, float]:
     corners, lengths = np.array(geometry.outline, dtype=float), trace_lengths(geometry)
     size = geometry.size or float(np.ptp(corners, axis=0).min()) / ACROSS
     fine = geometry.size_at_fractures or geometry.size or min(size, typical_length(lengths) / PER_FRACTURE)
-    growth = growth_of(scene, size, geometry.outline)
+    growth, _ = growth_of(scene, size, geometry.outline)
     cells = graded_count(size, fine, polygon_area(corners), float(lengths.sum()), growth)
     joints = float(lengths.sum()) / fine + TIPPED * len(lengths)
     return direct(int(cells)).seconds, unmeshed(joints)

@@ -113,16 +113,25 @@ def graded_count(size: float, fine: float, area: float, length: float, growth: f
     return min(cell_count(size, fine, area, length, growth) + PER_TRIANGLE * ring, PER_TRIANGLE * area / fine**2)
 
 
-def growth_of(scene: Scene, size: float, corners: Points) -> float:
-    """Growth of cells of a stated size: that of the scene, or less where their error would exceed that of the joints."""
+def growth_of(scene: Scene, size: float, corners: Points) -> tuple[float, str]:
+    """Growth of cells of ``size`` in an outline, as the scene states it or as its mesh has it, and a line on it, or none.
+
+    A mesh whose sizes follow from the scene has that of its joints. Else it is the usual one, or less where the error would
+    exceed that of the joints and not too many cells follow.
+    """
     geometry = scene.geometry
     assert geometry is not None
-    usual, lengths = geometry.growth or USUAL, trace_lengths(geometry)
-    if not (geometry.size_at_fractures or geometry.size):
-        return usual
-    growth = min(usual, growth_beside(scene, typical_length(lengths))[0])
-    fine, area = geometry.size_at_fractures or size, polygon_area(np.array(corners))
-    return growth if cell_count(size, fine, area, float(lengths.sum()), growth) <= MOST_CELLS else usual
+    is_sized = geometry.size is not None or (scene.is_unbounded and geometry.size_at_fractures is not None)
+    if geometry.growth is not None or not is_sized:
+        return _growth(scene, geometry), ""
+    domain, lengths = np.array(corners, dtype=float), trace_lengths(geometry)
+    growth, reason = growth_beside(scene, typical_length(lengths[has_tip(geometry, domain)]))
+    if growth == USUAL:
+        return USUAL, ""
+    fine = geometry.size_at_fractures or size
+    if cell_count(size, fine, polygon_area(domain), float(lengths.sum()), growth) <= MOST_CELLS:
+        return growth, note(f"geometry.growth = {growth:g}: {reason}")
+    return USUAL, note(f"geometry.growth = {USUAL:g}: {growth:g} would take over {MOST_CELLS} cells; {reason}")
 
 
 def affordable(size: float, fine: float, area: float, length: float, growth: float, most: float) -> tuple[float, float]:
@@ -258,16 +267,11 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if geometry.size is not None:
         if not len(traces):
             return snap, why
-        growth, reason = growth_beside(scene, typical_length(traces[has_tip(geometry, domain)]))
         if geometry.growth is not None:
-            return snap, [*why, *of_stated(geometry.growth, growth)]
-        if growth == USUAL:
-            return snap | {"growth": USUAL}, why
-        fine = geometry.size_at_fractures or geometry.size
-        if cell_count(geometry.size, fine, area, total, growth) > MOST_CELLS:
-            dear = f"geometry.growth = {USUAL:g}: {growth:g} would take over {MOST_CELLS} cells; {reason}"
-            return snap, [*why, note(dear)]
-        return snap | {"growth": growth}, [*why, note(f"geometry.growth = {growth:g}: {reason}")]
+            alike, _ = growth_beside(scene, typical_length(traces[has_tip(geometry, domain)]))
+            return snap, [*why, *of_stated(geometry.growth, alike)]
+        growth, line = growth_of(scene, geometry.size, geometry.outline)
+        return snap | {"growth": growth}, [*why, *([line] if line else [])]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_listed=False)
     fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
@@ -304,13 +308,13 @@ def _of_joints(
 ) -> tuple[dict[str, float], list[str]]:
     """The same of fractures in rock that is not meshed."""
     if geometry.size_at_fractures or geometry.size:
-        return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []
+        return snap, []
     traces = trace_lengths(geometry)
     typical = typical_length(traces)
     least = max(float(traces.sum()) / PROPOSED_JOINTS, geometry.size_at_tips or 0.0)
     fine = max(_three_digits(typical / PER_LENGTH), geometry.size_at_tips or 0.0)
     for _ in range(ROUNDS):
-        keys = snap | _keys(geometry, fine, fine, typical / PER_TIP, geometry.growth or GROWTH, traces)
+        keys = snap | _keys(geometry, fine, fine, typical / PER_TIP, _growth(scene, geometry), traces)
         del keys["size"]
         trial = scene.with_geometry({**keys, "refine": 0})
         mesh, wells = build(trial)

@@ -75,7 +75,7 @@ def main() -> int:
         for entry in measure(given.only, (given.seeds, given.wide), given.reduced, Path(folder)):
             print(f"{entry.name}: {told(entry)}", flush=True)
             entries.append(entry)
-    write(entries, given.output / "plan.csv")
+            write(entries, given.output / "plan.csv")  # a run that is stopped keeps its rows
     with matplotlib.rc_context(STYLE):
         draw(entries, given.output)
     return judge(check(entries), given.output)

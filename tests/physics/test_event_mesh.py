@@ -18,7 +18,7 @@ from fracflow.model.balance import static_balance_of
 from fracflow.output import list_steps, read_events, read_history
 from fracflow.output.status import FAILED, read_status
 from fracflow.reduction.event_mesh import before_events, event_scene, with_event_mesh
-from fracflow.reduction.prepare import prepare
+from fracflow.reduction.prepare import prepare, with_sizes
 from fracflow.remarks import has_mark
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
@@ -92,9 +92,16 @@ def stepped(model, *times):
 
 @pytest.mark.serial
 def test_the_mesh_of_an_event_is_no_coarser_beside_joints_than_a_stated_one(scene):
-    """Fine joints have cells that grow more slowly, as in a box. Sides in the midst of fractures are told."""
-    fine = load(scene, ["geometry.size_at_fractures=0.5"])
-    assert event_scene(load(scene)).geometry.growth == 0.3 and event_scene(fine).geometry.growth == 0.13
+    """A stated growth holds; else fine joints have cells that grow more slowly, as in a box. Near sides are told."""
+    fine, box = "geometry.size_at_fractures=0.5", ("geometry.domain=[-150,-100,190,140]", "geometry.size=25")
+    assert event_scene(load(scene, [fine])).geometry.growth == 0.3
+    left_open = scene.with_name("open.toml")
+    left_open.write_text(scene.read_text().replace("growth = 0.3\n", "").replace("event_margin = 100\n", ""))
+    margin, sides = "geometry.event_margin=100", 'absorbing=[{on=["west","east","south","north"]}]'
+    of_event = event_scene(load(left_open, [fine, margin])).geometry
+    of_box = with_sizes(load(left_open, [fine, *box, sides, "load=[]"]), MPI.COMM_SELF).geometry
+    assert of_event.growth == of_box.growth == 0.13
+    assert event_scene(load(left_open, [margin])).geometry.growth == 0.3
     (usual,), (near, _) = (before_events(load(scene, [f"geometry.event_margin={m}"])) for m in (200, 5))
     assert has_mark(usual) and not has_mark(near) and "event_margin = 5 m" in near and "for 280 m" in near
     assert "by about 12 %" in usual  # (70 m/200 m)^2 of slip and opening beside held sides
