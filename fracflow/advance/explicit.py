@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from time import process_time
+from typing import TYPE_CHECKING
 
 from fracflow._petsc import destroy, memory_kept
-from fracflow.advance.explicit_flow import ExplicitFlow
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Log, Outcome
 from fracflow.integrators import EXPLICIT, Stepper
@@ -19,10 +19,13 @@ from fracflow.model.state import State, StepReport
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
-from fracflow.solve.explicit import ExplicitModel
-from fracflow.solve.leapfrog.steps import Leapfrog
 from fracflow.solve.request import StepRequest, on_the_way
 from fracflow.solve.residual import refuse_few, significant_digits
+
+if TYPE_CHECKING:
+    from fracflow.advance.explicit_flow import ExplicitFlow
+    from fracflow.solve.explicit import ExplicitModel
+    from fracflow.solve.leapfrog.steps import Leapfrog
 
 PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
 TIMED = 5  # products
@@ -42,6 +45,8 @@ class ExplicitSteps:
     def explicit(self) -> ExplicitModel:
         """With its critical time step. Raises InputError, on every rank. Collective."""
         if self._explicit is None:
+            from fracflow.solve.explicit import ExplicitModel  # few runs have explicit steps
+
             self._explicit = ExplicitModel(self.model.scene, self.model.operators, self.model.loads)
         return self._explicit
 
@@ -49,6 +54,8 @@ class ExplicitSteps:
     def leapfrog(self) -> Leapfrog:
         """Steps of the rock and of joints. Raises InputError, on every rank. Collective."""
         if self._leapfrog is None:
+            from fracflow.solve.leapfrog.steps import Leapfrog
+
             self._leapfrog = Leapfrog(self.explicit, self.model.scene, self.model.loads)
         return self._leapfrog
 
@@ -56,6 +63,8 @@ class ExplicitSteps:
     def flow(self) -> ExplicitFlow | None:
         """Those of joints and fluid; None without a fluid. Collective."""
         if self._flow is None and self.model.operators.flow is not None:
+            from fracflow.advance.explicit_flow import ExplicitFlow
+
             self._flow = ExplicitFlow(self.model, self.network, self.explicit.sections)
         return self._flow
 
@@ -212,6 +221,8 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
             planned.append((count, stage.time_step))
     if not planned and not events:
         return None
+    from fracflow.solve.explicit import ExplicitModel
+
     explicit = ExplicitModel(scene, model.operators, model.loads)
     critical = explicit.critical
     explicit.destroy()

@@ -97,7 +97,7 @@ def run_command(
     keep_imports()
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [], trust)
-    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, emoji=False, width=WIDTH)
     for line in advice(given):
         console.print(marked(line), soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
@@ -139,7 +139,7 @@ def resume_command(
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
-    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, emoji=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(note(f"the run in {folder} has ended; this is what it left"), soft_wrap=True, markup=False)
     run_with_progress(

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fracflow._petsc import MPI, destroy, timed
 from fracflow._version import __version__
-from fracflow.advance.auto import run_auto
-from fracflow.advance.equilibrate import equilibrate
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
-from fracflow.advance.regime import on_mesh
 from fracflow.advance.stage import first_substep, refuse_moved, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
@@ -289,6 +286,7 @@ def _stepped(
 def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNeeded) -> tuple[Model, Step]:
     """The model on the mesh that an event needs, and its first state on record. Raises InputError, SolveError. Collective."""
     from fracflow.advance.event_rock import handed_over  # few runs need them
+    from fracflow.advance.regime import on_mesh
     from fracflow.reduction.event_mesh import with_event_mesh
 
     scene, state = model.scene, step.state
@@ -321,6 +319,19 @@ def is_moving(scene: Scene, step: Step) -> bool:
     return is_last and (scene.stage[step.stage].kind == "dynamic" or bool((step.progress or {}).get("moves")))
 
 
+def _steps_of(stage: Stage) -> Callable[..., Iterator[Step]]:
+    """The way to make the steps of a kind of stage, imported when the first one begins: start-up is most of a small run."""
+    if stage.kind == "auto":
+        from fracflow.advance.auto import run_auto
+
+        return run_auto
+    if stage.kind == "equilibrate":
+        from fracflow.advance.equilibrate import equilibrate
+
+        return equilibrate
+    return run_stage
+
+
 @timed("FracSteps", "Steps")
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool
@@ -347,9 +358,8 @@ def _steps(
                     entered = stepping.enter(state, stepper, first_substep(stepping, stage, stepper, state.time))
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
-                steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 try:
-                    for made in steps(stepping, state, number, recorder.log, going_on):
+                    for made in _steps_of(stage)(stepping, state, number, recorder.log, going_on):
                         if made.trial is not None:
                             observer.trial(made.trial.time, made.trial.length, made.trial.why)
                             continue
