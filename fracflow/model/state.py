@@ -244,6 +244,7 @@ class StepReport:
     digits          fewest digits that round-off leaves of the tractions of a fracture
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
+    made            the same of cycles with added storage, where they ended; NaN elsewhere
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
     located         sections whose friction changed its status at the end of the step, which was located there
@@ -264,6 +265,7 @@ class StepReport:
     out_of_balance: tuple[float, ...] = ()
     digits: float = 15.65
     predicted: float = np.nan
+    made: float = np.nan
     measured: float = np.nan
     handed_over: str = ""
     round_off: float = 0.0

@@ -161,8 +161,10 @@ class Notices:
         if np.isnan(last) or (max(factor, last) >= LEAST_FACTOR and not abs(factor - last) <= CHANGED * last):
             totals.reported_factor = factor
             time = f"time {scene.time_text(now)}"
+            made = f"cycles as they are made by {report.made:.3g} (predicted where they end); "
+            made = made if np.isfinite(report.made) else ""
             measured = (
-                f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
+                f"{made}the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
                 if np.isfinite(report.measured)
                 else "fewer than two cycles were made, so that none is measured"
             )

@@ -27,7 +27,7 @@ LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"
 
 
-def film(method=None, ends=("start", "end"), rock=1.0, more=None, **stage):
+def film(method=None, ends=("start", "end"), rock=1.0, more=None, rate=1e-7, **stage):
     """A film between rock far softer than its joint, so that each node has a spring of its own."""
     step = {"kind": "quasi-static", "time_step": 1.0, "steps": 1, **stage}
     return Scene.from_data(
@@ -47,7 +47,7 @@ def film(method=None, ends=("start", "end"), rock=1.0, more=None, **stage):
             "fluid": {"viscosity": VISCOSITY, "specific_weight": 1e4},
             "support": [{"on": ["south", "north"]}],
             "well": [
-                {"name": "in", "at": [LENGTH / 2, 0.0], "flow_rate": 1e-7},
+                {"name": "in", "at": [LENGTH / 2, 0.0], "flow_rate": rate},
                 *({"name": end, "at": {"fracture": "film", "end": end}, "pressure": 0.0} for end in ends),
             ],
             "stage": [step],
@@ -159,6 +159,18 @@ def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most
             size = comm.allreduce(np.abs(at_once).max(initial=0.0), op=MPI.MAX)
             assert size > 0.0
             assert comm.allreduce(np.abs(by_turns - at_once).max(initial=0.0), op=MPI.MAX) <= 1e-8 * size
+
+
+@pytest.mark.parametrize("factor, rate", [(2.0, 1e-5), (20.0, 1e-4)])
+def test_factor_with_added_storage_is_that_of_its_end(factor, rate, comm):
+    """The film widens by a twentieth and more: its conductance, and so the factor, are no longer those of the start."""
+    model = prepare(film({"fixed_point": "added-storage"}, rate=rate), comm)
+    stepping, dt = Stepping(model), rho_of_film(1.0, np.pi / LENGTH) / factor
+    new, report = stepping.step(equilibrium_state(model), StepRequest(dt, dt, {}, model.loads), BackwardEuler())
+    assert report.grown > 1.05 and report.cycles > 6
+    assert 1e-3 < report.made < 1.0 and 0.8 < report.made / report.measured < 1.25
+    new.destroy()
+    stepping.destroy()
 
 
 @pytest.mark.parametrize("name", ["plain", "anderson"])

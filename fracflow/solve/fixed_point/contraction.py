@@ -169,6 +169,15 @@ def predict(matrix: JoinedMatrix, problem: StepProblem, with_storage: bool) -> P
         cycle.destroy()
 
 
+def factor_with(matrix: JoinedMatrix, problem: StepProblem, storage: Floats) -> float:
+    """The factor of cycles with that storage (n,), linearised at the trial, which has been evaluated. Collective."""
+    cycle = Cycle(matrix, problem)
+    try:
+        return cycle.radius(storage / cycle.scale)[0]
+    finally:
+        cycle.destroy()
+
+
 def added_storage(cycle: Cycle) -> tuple[Floats, float]:
     """Storage S (n,), scaled, with which the cycle converges, and its factor. Collective.
 

@@ -22,7 +22,14 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report
 from fracflow.solve.condensed_cost import Condensing
-from fracflow.solve.fixed_point.contraction import Prediction, add_diagonal, change_of, is_solved, predict
+from fracflow.solve.fixed_point.contraction import (
+    Prediction,
+    add_diagonal,
+    change_of,
+    factor_with,
+    is_solved,
+    predict,
+)
 from fracflow.solve.fixed_point.failure import describe_divergence, measured_factor
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS, Cycles
 from fracflow.solve.jacobian import JoinedMatrix
@@ -111,6 +118,7 @@ class FixedPoint:
             if not np.isfinite(prediction.own) or (is_hopeless and hands_over):
                 raise _Lost
             report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
+            report = replace(report, made=self._made(problem, prediction))
         except _Lost as lost:
             start_again(problem)
             problem.evaluate()
@@ -181,8 +189,31 @@ class FixedPoint:
             raise SolveError("the flow has no solution while the walls are held")
         return result
 
+    def _made(self, problem: StepProblem, prediction: Prediction) -> float:
+        """The factor of cycles with added storage where they ended: joints may slide and open in them. Collective."""
+        if prediction.storage is None or self.linearised is None:
+            return np.nan
+        change = self.linearised.change(self._linearise(problem), problem.operators.layout.comm)
+        if change <= CHANGED:
+            return prediction.stored
+        try:
+            return factor_with(self.whole_matrix, problem, prediction.storage)
+        except SolveError:  # the step is done, whatever can be said of its cycles
+            return np.nan
+
     def _prediction(self, problem: StepProblem) -> Prediction:
         """That of an earlier step, as long as it holds: a factor moves about as much as what it is made of. Collective."""
+        old, now = self.linearised, self._linearise(problem)
+        if old is not None and old.alphas == now.alphas:
+            change, factor = old.change(now, problem.operators.layout.comm), old.prediction.factor
+            is_clear = (factor * (1.0 + change) < self.limit) == (factor / (1.0 + change) < self.limit)
+            if change <= CHANGED and is_clear:
+                return old.prediction
+        self.linearised = replace(now, prediction=predict(self.whole_matrix, problem, self.name == "added-storage"))
+        return self.linearised.prediction
+
+    def _linearise(self, problem: StepProblem) -> Linearised:
+        """The trial as a prediction sees it, without one. Not collective."""
         conduction, network = problem.conduction, problem.operators.network
         assert conduction is not None
         drop = conduction.pressure[:, 0] - conduction.pressure[:, 1]
@@ -196,14 +227,7 @@ class FixedPoint:
         )
         if conduction.compression is not None:
             now = replace(now, feedback=now.feedback + problem.alphas.b1 * conduction.compression.slope)
-        old = self.linearised
-        if old is not None and old.alphas == now.alphas:
-            change, factor = old.change(now, problem.operators.layout.comm), old.prediction.factor
-            is_clear = (factor * (1.0 + change) < self.limit) == (factor / (1.0 + change) < self.limit)
-            if change <= CHANGED and is_clear:
-                return old.prediction
-        self.linearised = replace(now, prediction=predict(self.whole_matrix, problem, self.name == "added-storage"))
-        return self.linearised.prediction
+        return now
 
     def _hand_over(self, problem: StepProblem) -> StepReport:
         """The step with both balances at once. Collective."""

@@ -26,7 +26,7 @@ from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
-COARSE = 14.0  # joints, or nodes, along a cell of the coarse grid
+COARSE = 14.0**2  # nodes of the mesh in a cell of the coarse grid, in the plane and in space
 SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
 
 
@@ -69,10 +69,10 @@ def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts
     """The parts, for joints of a mean ``length`` and with held unknowns (h,). The caller destroys them. Collective."""
     nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
     wall = walls(blocks, nodes)
-    is_wall = wall >= 0.0
+    is_wall, along = wall >= 0.0, COARSE ** (1.0 / blocks.sizes.dim)
     parts = Parts(
         intact(blocks, layout, wall),
-        coarse_jumps(blocks, layout, nodes, is_wall, grid_sizes(blocks, is_wall, length, COARSE), held),
+        coarse_jumps(blocks, layout, nodes, is_wall, grid_sizes(blocks, is_wall, length, along), held),
         strips(blocks, layout, grown(blocks, nodes, is_wall, LAYERS)),
     )
     nodes.destroy()
