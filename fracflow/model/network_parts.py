@@ -120,10 +120,10 @@ class Parts:
     """
 
     def __init__(self, operators: Operators, conducts: Bools) -> None:
-        """Of the elements (j,) of this rank that conduct. Collective.
+        """Find the components that the conducting elements (j,) of each rank make. Collective.
 
-        Each rank joins what its elements join, and takes the lowest number that any rank has for one of the nodes, until
-        none finds a lower one: as many rounds as a component crosses ranks.
+        Each rank joins what its elements join. It then takes the lowest number that any rank has for one of the nodes, until
+        no rank finds a lower one. A component that crosses ranks so many times takes as many rounds.
         """
         self._operators, blocks, layout = operators, operators.blocks, operators.layout
         comm, first, total = layout.comm, int(layout.flow_starts[layout.comm.rank]), int(layout.flow_starts[-1])
@@ -209,12 +209,12 @@ class Parts:
         )
 
     def at_root(self, facts: Bools, part: NetworkComponent) -> bool:
-        """What facts (k,) say of a component, the same on every rank. Collective."""
+        """Whether a component has a fact that each rank knows of its parts (k,), the same on every rank. Collective."""
         here = bool(facts[self.roots == part.root].any())
         return bool(self._operators.layout.comm.allreduce(here, op=MPI.LOR))
 
     def destroy(self) -> None:
-        """Collective."""
+        """Free the way between the ranks. Collective."""
         self._shared.destroy()
 
 
