@@ -10,15 +10,15 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
 from fracflow.errors import MOST_NAMED, SolveError
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Bools, Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.network_parts import (
     NetworkComponent,
+    Parts,
     change_volume,
     close,
     conducting,
-    find_components,
     holding,
     leaving,
 )
@@ -49,12 +49,12 @@ class FlowNetwork:
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
         """Start without components, which the first step finds. Collective."""
         self.model, self.log = model, log
-        self._conducts: np.ndarray | None = None
+        self._conducts: Bools | None = None
         self._holds = np.zeros(0, dtype=bool)
         self._leaves, self._leaks_off = (leaving(model.operators, by_memory) for by_memory in (False, True))
-        self._logged: np.ndarray | None = None
+        self._logged: Bools | None = None
         self._has_logged_digits = False
-        self._parts: tuple[NetworkComponent, ...] = ()
+        self._parts: Parts | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
         self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
@@ -89,7 +89,7 @@ class FlowNetwork:
         least = self.model.scene.accuracy.residual * depth * largest
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
-            rates.append(-depth * float(lost[part.nodes].sum()))
+            rates.append(-depth * self._sum(lost, part))
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved) + least:
                 raise SolveError(
@@ -101,7 +101,8 @@ class FlowNetwork:
 
     def _taken(self, part: NetworkComponent, state: State) -> tuple[float, float]:
         """Rate of volume that the walls of a component open, and the sum of its absolute values [area/time]. Collective."""
-        closure = close(self.model.operators, part, len(part.nodes) > 1)
+        assert self._parts is not None
+        closure = close(self.model.operators, self._parts, part, part.count > 1)
         walls, speed = closure.weights, state.motion.velocity
         if closure.by != "walls":
             walls.destroy()
@@ -117,18 +118,17 @@ class FlowNetwork:
 
         Collective.
         """
-        layout = self.model.operators.layout
-        depth = self.model.scene.flow_depth
-        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[EnclosedComponent]()
+        depth, found = self.model.scene.flow_depth, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
-            if not moves or len(part.nodes) == 1:
+            assert self._parts is not None
+            if not moves or part.count == 1:
                 continue
             rate = 0.0
             ends = (state.time + dt, 1.0, JUST_BEFORE), (state.time, -1.0, JUST_AFTER)
             for time, sign, side in ends if dt > 0.0 else ():
                 rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
-            nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
-            found.append(EnclosedComponent(nodes, close(self.model.operators, part, True).weights, rate))
+            weights = close(self.model.operators, self._parts, part, True).weights
+            found.append(EnclosedComponent(part.nodes - self._first, weights, rate))
         return found
 
     def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
@@ -140,31 +140,31 @@ class FlowNetwork:
         parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         lost = self._lost(problem.conduction) if parts else np.zeros(0)
-        numbers, depth = self.model.operators.layout.flow_numbers, self.model.scene.flow_depth
+        depth, comm = self.model.scene.flow_depth, self.model.operators.layout.comm
         for part, wells, gives in parts:
             asked = replace(problem.request, loads=loads)
             rates = [problem.rule.demanded(asked, well) for well in wells]
-            rates.append(-depth * float(lost[part.nodes].sum()))
+            rates.append(-depth * self._sum(lost, part))
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
-                inside = numbers(part.nodes)
                 limits = [
                     each
                     for each in loads.limits
-                    if each.node in inside and each.sign * total > 0.0 and problem.rule.pushes(asked, each)
+                    if each.well in wells and each.sign * total > 0.0 and problem.rule.pushes(asked, each)
                 ]
                 if not limits:
                     self._refuse(part, wells, rates, gives, problem.time)
                 found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
-            if self._holds[part.nodes].any():
+            here = part.nodes - self._first
+            if comm.allreduce(bool(self._holds[here].any()), op=MPI.LOR):
                 continue
-            room = swept[part.nodes]
-            slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
-            if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
+            room, size = comm.allreduce(np.array([swept[here].sum(), np.abs(swept[here]).sum()])).tolist()
+            slack = BALANCED * (size + self.model.operators.scales.length * moved * part.count)
+            if not gives and abs(room) > slack and (stores or part.count > 1):
                 other = "fluid.compressibility" if problem.fluid_before is None else "minimum_hydraulic_aperture"
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
-                    f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
+                    f" by {room:.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
                     f" there, or let a wall move{f', or give {other}' if stores else ''}"
                 )
         return frozenset(found)
@@ -192,17 +192,23 @@ class FlowNetwork:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts
         now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
-        same = before is not None and np.array_equal(before, now) and np.array_equal(self._holds, holds)
-        if not operators.layout.comm.allreduce(same, op=MPI.LAND):
-            self.destroy()
-            self.version += 1
-            self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
+        same = before is not None and np.array_equal(before, now), np.array_equal(self._holds, holds)
+        conduct, hold = (operators.layout.comm.allreduce(each, op=MPI.LAND) for each in same)
+        if conduct and hold:
+            return
+        self._forget()
+        self.version += 1
+        self._conducts, self._holds = now, holds
+        if not conduct or self._parts is None:
+            self._free_parts()
+            self._parts = Parts(operators, now)
 
     def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
         before, now = self._logged, self._conducts
-        if now is None:
+        if now is None or self._parts is None:
             return
+        parts = self._parts
         self._logged = now
         if before is not None:
             if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
@@ -210,42 +216,54 @@ class FlowNetwork:
             pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
             found = (pinched, "pinched shut"), (opened, "conducts again")
             what = [f"{names} {word}" for names, word in found if names]
-            self.log(note(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts"))
-        drained = self._drained(self.model.loads)
-        gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
+            self.log(note(f"time {time:.6g}: {'; '.join(what)}; the network has {parts.count} parts"))
+        cut_off = ~parts.any_of(self._drained(self.model.loads))
+        gives = change_volume(self.model.operators, parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
-        cut_off = [each for each in zip(self._parts, gives, strict=True) if not drained[each[0].nodes].any()]
-        cut_off.sort(key=lambda found: -len(found[0].nodes))
-        for part, moves in cut_off[:MOST_NAMED]:
+        largest, count = parts.listed(cut_off, MOST_NAMED)
+        for part in parts.named(largest):
+            moves = parts.at_root(gives, part)
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
             both = " and by compression" if moves and stores else ""
             line = f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}"
             self.log(note(line) if moves or stores else marked(line))
-        if len(cut_off) > MOST_NAMED:
-            self.log(note(f"time {time:.6g}: nor in {len(cut_off) - MOST_NAMED} more parts"))
+        if count > MOST_NAMED:
+            self.log(note(f"time {time:.6g}: nor in {count - MOST_NAMED} more parts"))
 
-    def _drained(self, loads: Loads) -> np.ndarray:
+    @property
+    def _first(self) -> int:
+        """Number of this rank's first flow node."""
         layout = self.model.operators.layout
-        numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
-        return np.isin(numbers, loads.fixed_flow) | self._leaves
+        return int(layout.flow_starts[layout.comm.rank])
+
+    def _sum(self, values: Floats, part: NetworkComponent) -> float:
+        """Of values (q,) at this rank's flow nodes, over those of a component on all ranks. Collective."""
+        return float(self.model.operators.layout.comm.allreduce(float(values[part.nodes - self._first].sum())))
+
+    def _drained(self, loads: Loads) -> Bools:
+        """Whether something settles the pressure of each flow node (q,) of this rank."""
+        layout = self.model.operators.layout
+        numbers = layout.flow_numbers(self._first + np.arange(layout.flow_count))
+        return np.asarray(np.isin(numbers, loads.fixed_flow) | self._leaves)
 
     def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
-        drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
+        assert self._parts is not None
+        parts, drained = self._parts, self._drained(loads)
+        gives = change_volume(operators, parts, loads.fixed_solid)
         if stores and not at_start:  # a rate by a memory settles no pressure at an instant
             drained = drained | self._leaks_off
-        parts, closures = [], []
-        nodes = {pattern.well: self._node(pattern.vector) for pattern in loads.wells if pattern.well}
-        for part, moves in zip(self._parts, gives.tolist(), strict=True):
-            holds = bool(self._holds[part.nodes].any()) and (stores or len(part.nodes) > 1)
-            if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
-                continue
-            wells = tuple(name for name, node in nodes.items() if node in part.nodes)
-            parts.append((part, wells, moves))
-            closures.append(close(operators, part, moves and not at_start, holds))
-        return _Closed(replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
+        holds = parts.any_of(self._holds) & (stores | (parts.sizes > 1))
+        settled = parts.any_of(drained) | (stores & (holds | (gives & (not at_start))))
+        roots = {pattern.well: parts.root_at(self._node(pattern.vector)) for pattern in loads.wells if pattern.well}
+        closed, closures = [], []
+        for part in parts.named(parts.listed(~settled)[0]):
+            wells, moves = tuple(name for name, root in roots.items() if root == part.root), parts.at_root(gives, part)
+            closed.append((part, wells, moves))
+            closures.append(close(operators, parts, part, moves and not at_start, parts.at_root(holds, part)))
+        return _Closed(replace(loads, closures=tuple(closures)) if closed else loads, tuple(closed))
 
     def _node(self, vector: PETSc.Vec) -> int:
         local = vector.getArray(readonly=True)
@@ -269,27 +287,36 @@ class FlowNetwork:
         return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g}{unit}"
 
     def _lost(self, conduction: Conduction | None) -> Floats:
-        """Rates by which fluid leaves by terms at all flow nodes (n,) [volume rate per thickness]. Collective."""
+        """Rates by which fluid leaves by terms at this rank's flow nodes (q,) [volume rate per thickness]. Collective."""
         layout, network = self.model.operators.layout, self.model.operators.flow
         assert network is not None
         leaving = conduction.leaving if conduction is not None else None
-        here = np.zeros(layout.flow_count) if leaving is None else network.at_nodes(leaving.rate)
-        return np.concatenate(layout.comm.allgather(here))
+        return np.zeros(layout.flow_count) if leaving is None else network.at_nodes(leaving.rate)
 
     def destroy(self) -> None:
-        """Free the closed loads. Collective."""
+        """Free the closed loads and the components. Collective."""
+        self._forget()
+        self._free_parts()
+        self._conducts = None
+
+    def _free_parts(self) -> None:
+        if self._parts is not None:
+            self._parts.destroy()
+        self._parts = None
+
+    def _forget(self) -> None:
         destroy(*(closure.weights for found in self._closed.values() for closure in found.loads.closures))
         self._closed.clear()
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
-    """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
+    """Volume that the walls have opened in a step at this rank's flow nodes (q,), and their largest motion. Collective."""
     network, fluid = problem.operators.flow, problem.fluid_before
     assert network is not None
     opened = None if fluid is None else -fluid.weight / network.compressibility
     here = network.swept(problem.increment) if opened is None else network.at_nodes(opened)
     moved = float(problem.increment.norm(PETSc.NormType.INFINITY))
-    return np.concatenate(problem.operators.layout.comm.allgather(here)), moved
+    return here, moved
 
 
 def _names(model: Model, chosen: np.ndarray) -> str:

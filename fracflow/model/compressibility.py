@@ -129,8 +129,7 @@ def taken_by(operators: Operators, closure: Closure, before: Compression | None,
     """Fluid that compression has taken up in a component that must keep it [volume per thickness]. Collective."""
     if closure.by != "fluid" or before is None or after is None:
         return 0.0
-    inside = np.isin(operators.blocks.joints.flow, closure.nodes)
-    return float(operators.layout.comm.allreduce(float((after.held - before.held)[inside].sum())))
+    return float(operators.layout.comm.allreduce(float((after.held - before.held)[closure.ends].sum())))
 
 
 def lost(

@@ -9,8 +9,10 @@ from typing import Literal
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.blocks import owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.graph import components
+from fracflow.mesh.shared import Shared
 from fracflow.model.flow import Compression
 from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
@@ -26,20 +28,24 @@ MOST_NAMES = 12  # fractures that a line lists
 
 @dataclass(frozen=True)
 class NetworkComponent:
-    """A part of the network, the same on every rank.
+    """A part of the network. All but ``nodes`` is the same on every rank.
 
-    nodes      (n,) numbers of its flow nodes
+    nodes      (n,) numbers of its flow nodes on this rank
+    count      of its nodes on all ranks
+    root       lowest number of its nodes, whose balance a closure replaces
     fractures  names of the fractures that its elements are of
     center     (dim,) mean of its nodes [length]
     """
 
     nodes: Ints
+    count: int
+    root: int
     fractures: tuple[str, ...]
     center: Floats
 
     def __str__(self) -> str:
         names = ", ".join(self.fractures)
-        return f"{names} ({len(self.nodes)} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
+        return f"{names} ({self.count} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,9 @@ class Closure:
     row      local number of the node on the rank that owns it, empty elsewhere
     weights  change of the volume with the displacements, or shares of the pressures in the mean
     size     of a volume, by which that of "walls" and "fluid" is divided [area]
-    nodes    (n,) numbers of the flow nodes of the component, the first has the row
+    number   of the flow node that has the row, the same on every rank
+    nodes    (n,) numbers of the flow nodes of the component on this rank
+    ends     (j, 2) which joint ends of this rank are in a component that keeps its fluid
     touched  local numbers of the displacements that weights may depend on
     """
 
@@ -61,11 +69,13 @@ class Closure:
     row: Ints
     weights: PETSc.Vec
     size: float
+    number: int
     nodes: Ints
+    ends: Bools
     touched: Ints
 
 
-def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
+def conducting(operators: Operators, conductance: Floats) -> Bools:
     """Which elements (j,) of this rank conduct. Collective."""
     network, nodes = operators.network, operators.layout.flow_vector()
     network.taken_up(np.repeat(conductance, 2), nodes)
@@ -74,113 +84,201 @@ def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
     return np.asarray(conductance > CONDUCTS * beside)
 
 
-def holding(operators: Operators, compression: Compression | None) -> np.ndarray:
-    """Which of all flow nodes (n,) hold fluid that is compressible: none where walls meet. Collective."""
+def holding(operators: Operators, compression: Compression | None) -> Bools:
+    """Which flow nodes (q,) of this rank hold fluid that is compressible: none where walls meet. Collective."""
     network, layout = operators.network, operators.layout
     if compression is None:
-        return np.zeros(int(layout.flow_starts[-1]), dtype=bool)
-    found, here = [], 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
-    for at_ends in (compression.weight, here):
-        nodes = layout.flow_vector()
-        network.taken_up(at_ends, nodes)
-        found.append(nodes.getArray().copy())
-        nodes.destroy()
-    return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
+        return np.zeros(layout.flow_count, dtype=bool)
+    here = 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
+    weight, volume = (network.at_nodes(at_ends) for at_ends in (compression.weight, here))
+    return np.asarray(weight > CONDUCTS * volume)
 
 
-def leaving(operators: Operators, by_memory: bool = False) -> np.ndarray:
-    """Whether fluid leaves by terms at each flow node (n,), which determines its pressure; by those with a memory, or others.
-
-    Collective.
-    """
+def leaving(operators: Operators, by_memory: bool = False) -> Bools:
+    """Which flow nodes (q,) of this rank fluid leaves by terms with a memory, or by others, and so settles. Collective."""
     layout, flow = operators.layout, operators.blocks.joints.flow
     joints = [term.joints() for term in operators.terms if term.drains and term.has_memory == by_memory]
-    here = flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])].ravel()
-    return np.isin(np.arange(int(layout.flow_starts[-1])), np.concatenate(layout.comm.allgather(here)))
+    here = np.unique(flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])])
+    marks = layout.flow_vector()
+    marks.setValues(petsc_ints(here), np.ones(len(here)), addv=PETSc.InsertMode.ADD_VALUES)
+    marks.assemble()
+    found = marks.getArray() > 0.0
+    marks.destroy()
+    return np.asarray(found)
 
 
-def find_components(operators: Operators, conducts: np.ndarray) -> tuple[NetworkComponent, ...]:
-    """All components, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
-    blocks = operators.blocks
-    comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
-    links = np.concatenate(comm.allgather(joints.flow))[np.concatenate(comm.allgather(conducts))]
-    label = components(links[:, 0], links[:, 1], count)
-    points = np.concatenate(comm.allgather(blocks.flow.points))
-    pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
-    here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
-    names: dict[int, list[str]] = {}
-    for part, name in sorted(set().union(*comm.allgather(here))):
-        names.setdefault(part, []).append(name)
-    order = np.argsort(label, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if count else []
-    return tuple(
-        NetworkComponent(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0))
-        for nodes in groups
-    )
+class Parts:
+    """The connected components of the network, spread over the ranks.
+
+    Each rank knows those that its flow nodes, its joint ends or its walls touch, here called its k parts.
+
+    roots  (k,) lowest number among the flow nodes of each, ascending
+    own    (q,) which of the k parts each flow node of this rank is in
+    ends   (j, 2) likewise each joint end
+    sizes  (k,) flow nodes of each, over all ranks
+    count  of all components of the network
+    """
+
+    def __init__(self, operators: Operators, conducts: Bools) -> None:
+        """Find the components that the conducting elements (j,) of each rank make. Collective.
+
+        Each rank joins what its elements join. It then takes the lowest number that any rank has for one of the nodes, until
+        no rank finds a lower one. A component that crosses ranks so many times takes as many rounds.
+        """
+        self._operators, blocks, layout = operators, operators.blocks, operators.layout
+        comm, first, total = layout.comm, int(layout.flow_starts[layout.comm.rank]), int(layout.flow_starts[-1])
+        here = first + np.arange(layout.flow_count)
+        beside_walls = local_rows(operators.network.storage_coupling).cols
+        self._numbers = np.unique(np.concatenate([here, blocks.joints.flow.ravel(), beside_walls]))
+        links = np.searchsorted(self._numbers, blocks.joints.flow)
+        tree = components(links[conducts, 0], links[conducts, 1], len(self._numbers))
+        label = self._numbers[np.unique(tree, return_index=True)[1]][tree].astype(float)
+        nodes = Shared(comm, layout.flow_count, total, self._numbers)
+        while True:
+            lowest = np.full(len(label), np.inf)
+            np.minimum.at(lowest, tree, -nodes.largest(-label))
+            now = lowest[tree]
+            if not comm.allreduce(bool((now < label).any()), op=MPI.LOR):
+                break
+            label = now
+        nodes.destroy()
+        self.roots, self._of = np.unique(label.astype(np.int64), return_inverse=True)
+        self.own, self.ends = self._of[np.searchsorted(self._numbers, here)], self._of[links]
+        self._shared = Shared(comm, layout.flow_count, total, self.roots)
+        self._is_mine = (self.roots >= first) & (self.roots < first + layout.flow_count)
+        self.sizes = self.summed(np.bincount(self.own, minlength=len(self.roots))).astype(np.int64)
+        self.count = int(comm.allreduce(int(self._is_mine.sum())))
+
+    def at(self, numbers: Ints) -> Ints:
+        """Which of the k parts flow nodes (n,) are in that this rank knows."""
+        return self._of[np.searchsorted(self._numbers, numbers)]
+
+    def summed(self, values: Floats | Ints) -> Floats:
+        """Sum (k,) over the ranks of what each has for its parts (k,). Collective."""
+        return self._shared.summed(np.asarray(values, dtype=float))
+
+    def largest(self, values: Floats) -> Floats:
+        """Largest (k,) of what ranks have for their parts (k,). Collective."""
+        return self._shared.largest(values)
+
+    def any_of(self, nodes: Bools) -> Bools:
+        """Whether any of the flow nodes (q,) of this rank, or of others, is in each of the parts (k,). Collective."""
+        return np.asarray(self.summed(np.bincount(self.own[nodes], minlength=len(self.roots))) > 0.0)
+
+    def root_at(self, node: int) -> int:
+        """The root of the part of any flow node, by its number. Collective."""
+        here = int(self.roots[self.at(np.array([node]))[0]]) if node in self._numbers else -1
+        return int(self._operators.layout.comm.allreduce(here, op=MPI.MAX))
+
+    def listed(self, chosen: Bools, most: int | None = None) -> tuple[Ints, int]:
+        """Roots of the chosen parts (k,), the same on every rank, and how many there are. Collective.
+
+        most  of them that are listed, the largest first; without it all of them, in ascending order
+        """
+        comm, mine = self._operators.layout.comm, np.flatnonzero(chosen & self._is_mine)
+        if most is not None:
+            mine = mine[np.argsort(-self.sizes[mine], kind="stable")][:most]
+        parts = comm.allgather((self.roots[mine], self.sizes[mine]))
+        roots, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
+        count = int(comm.allreduce(int(np.count_nonzero(chosen & self._is_mine))))
+        order = np.argsort(roots) if most is None else np.lexsort([roots, -sizes])[:most]
+        return roots[order], count
+
+    def named(self, roots: Ints) -> tuple[NetworkComponent, ...]:
+        """The parts of some roots (n,), which are the same on every rank. Collective."""
+        if not len(roots):
+            return ()
+        blocks, joints, count = self._operators.blocks, self._operators.blocks.joints, len(roots)
+        place, order, known = np.full(len(self.roots), count), np.argsort(roots), np.isin(self.roots, roots)
+        place[known] = order[np.searchsorted(roots[order], self.roots[known])]
+        of_node = place[self.own]
+        sums = np.zeros((count + 1, 1 + blocks.sizes.dim))
+        np.add.at(sums, of_node, np.insert(blocks.flow.points, 0, 1.0, axis=1))
+        blocks.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+        pairs = np.stack([place[self.ends].ravel(), np.repeat(joints.fracture, self.ends.shape[1])], axis=1)
+        here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist() if part < count}
+        names: list[list[str]] = [[] for _ in roots]
+        for part, name in sorted(set().union(*blocks.comm.allgather(here))):
+            names[part].append(name)
+        in_order = np.argsort(of_node, kind="stable")
+        ends = np.cumsum(np.bincount(of_node, minlength=count))[:count]
+        nodes = np.split(in_order + int(blocks.flow.starts[blocks.comm.rank]), ends)
+        return tuple(
+            NetworkComponent(nodes[k], int(sums[k, 0]), int(root), tuple(names[k]), sums[k, 1:] / sums[k, 0])
+            for k, root in enumerate(roots)
+        )
+
+    def at_root(self, facts: Bools, part: NetworkComponent) -> bool:
+        """Whether a component has a fact that each rank knows of its parts (k,), the same on every rank. Collective."""
+        here = bool(facts[self.roots == part.root].any())
+        return bool(self._operators.layout.comm.allreduce(here, op=MPI.LOR))
+
+    def destroy(self) -> None:
+        """Free the way between the ranks. Collective."""
+        self._shared.destroy()
 
 
-def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fixed_solid: Ints) -> np.ndarray:
-    """Whether the volume of each component (k,) changes when its walls move, with some displacements held. Collective.
+def change_volume(operators: Operators, parts: Parts, fixed_solid: Ints) -> Bools:
+    """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
 
     Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
-    layout, network = operators.layout, operators.network
-    part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
-    for number, part in enumerate(parts):
-        part_of[part.nodes] = number
-    walls = local_rows(network.storage_coupling)
+    layout, walls, count = operators.layout, local_rows(operators.network.storage_coupling), len(parts.roots)
     joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
     free = ~np.isin(joined, fixed_solid)[walls.rows]
-    keys, inverse = np.unique(walls.rows[free] * len(parts) + part_of[walls.cols[free]], return_inverse=True)
+    keys, inverse = np.unique(walls.rows[free] * count + parts.at(walls.cols[free]), return_inverse=True)
     room, size = np.zeros(len(keys)), np.zeros(len(keys))
     np.add.at(room, inverse, walls.values[free])
     np.add.at(size, inverse, np.abs(walls.values[free]))
-    largest, gives = np.zeros(len(parts)), np.zeros(len(parts), dtype=bool)
-    np.maximum.at(largest, keys % len(parts), size)
-    layout.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-    np.logical_or.at(gives, keys % len(parts), np.abs(room) > FREE * largest[keys % len(parts)])
-    layout.comm.Allreduce(MPI.IN_PLACE, gives, op=MPI.LOR)
-    return gives
+    largest, gives = np.zeros(count), np.zeros(count)
+    np.maximum.at(largest, keys % max(count, 1), size)
+    largest = parts.largest(largest)
+    np.logical_or.at(gives, keys % max(count, 1), np.abs(room) > FREE * largest[keys % max(count, 1)])
+    return np.asarray(parts.largest(gives) > 0.0)
 
 
-def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
+def close(operators: Operators, parts: Parts, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
     """The closure of an undrained component, by whether its walls can move. The caller owns its weights. Collective.
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """
     layout, network, scales = operators.layout, operators.network, operators.scales
     inside = layout.flow_vector()
-    first = int(layout.flow_starts[layout.comm.rank])
-    local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
-    row = local[local + first == part.nodes[0]]
+    local = part.nodes - int(layout.flow_starts[layout.comm.rank])
+    row = local[part.nodes == part.root]
     size, nothing = scales.length * scales.displacement, np.zeros(0, dtype=np.int64)
-    if not holds and (len(part.nodes) == 1 or not gives):
-        inside.getArray()[local] = 1.0 / len(part.nodes)
-        return Closure("level", row, inside, size, part.nodes, nothing)
+    no_ends = np.zeros(parts.ends.shape, dtype=bool)
+    if not holds and (part.count == 1 or not gives):
+        inside.getArray()[local] = 1.0 / part.count
+        return Closure("level", row, inside, size, part.root, part.nodes, no_ends, nothing)
     inside.getArray()[local] = 1.0
     weights = layout.solid_vector()
     network.storage_coupling.mult(inside, weights)
     inside.destroy()
     if not holds:
-        return Closure("walls", row, weights, size, part.nodes, nothing)
-    walls, here = local_rows(network.storage_coupling), np.isin(operators.blocks.joints.flow, part.nodes)
-    volume = float(np.sum(np.where(here, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
+        return Closure("walls", row, weights, size, part.root, part.nodes, no_ends, nothing)
+    ends, walls = parts.roots[parts.ends] == part.root, local_rows(network.storage_coupling)
+    volume = float(np.sum(np.where(ends, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
     soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
-    touched = np.unique(walls.rows[np.isin(walls.cols, part.nodes)])
-    return Closure("fluid", row, weights, max(size if gives else 0.0, soft) or size, part.nodes, touched)
+    touched = np.unique(walls.rows[parts.roots[parts.at(walls.cols)] == part.root])
+    return Closure(
+        "fluid", row, weights, max(size if gives else 0.0, soft) or size, part.root, part.nodes, ends, touched
+    )
 
 
 def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
-    """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); the same on every rank. Collective."""
+    """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); none on ranks without it. Collective."""
     local = closure.weights.getArray(readonly=True)
     first = closure.weights.getOwnershipRange()[0]
     entries = np.union1d(np.flatnonzero(local), closure.touched)
     number = layout.flow_numbers if closure.by == "level" else layout.solid_numbers
-    gathered = layout.comm.allgather((number(entries + first), local[entries].copy()))
-    cols, values = (np.concatenate(each) for each in zip(*gathered, strict=True))
-    if closure.by != "fluid":
-        return cols, values
-    return np.concatenate([cols, layout.flow_numbers(closure.nodes)]), np.append(values, np.zeros(len(closure.nodes)))
+    fluid = layout.flow_numbers(closure.nodes) if closure.by == "fluid" else closure.nodes[:0]
+    here = number(entries + first), fluid, local[entries], np.zeros(len(fluid))
+    gathered = layout.comm.gather(here, root=int(owner_of(layout.flow_starts, np.array([closure.number]))[0]))
+    if gathered is None:
+        return closure.nodes[:0], local[:0]
+    walls, held, weights, nothing = (np.concatenate(each) for each in zip(*gathered, strict=True))
+    return np.concatenate([walls, held]), np.concatenate([weights, nothing])
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Loads
-from fracflow.model.network_parts import conducting, find_components
+from fracflow.model.network_parts import Parts, conducting
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.scene.values import TimeTable
@@ -105,12 +105,12 @@ def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: 
         ahead = isinstance(rate, TimeTable) and np.any(np.array(rate.values)[np.array(rate.times) > time])
         if ahead or rate(time) != 0.0:
             pumped |= well.vector.getArray(readonly=True) != 0.0
-    everywhere = np.concatenate(layout.comm.allgather(pumped))
-    fed = np.zeros(len(everywhere), dtype=bool)
-    for part in find_components(operators, conducting(operators, conduction.conductance)) if everywhere.any() else ():
-        fed[part.nodes] = everywhere[part.nodes].any()
-    first = int(layout.flow_starts[layout.comm.rank])
-    return fed[first : first + layout.flow_count]
+    if not layout.comm.allreduce(bool(pumped.any()), op=MPI.LOR):
+        return pumped
+    parts = Parts(operators, conducting(operators, conduction.conductance))
+    fed = parts.any_of(pumped)[parts.own]
+    parts.destroy()
+    return np.asarray(fed)
 
 
 def refuse_few_of_flow(found: SignificantDigitsOfFlow, limit: int, time: float) -> None:

@@ -138,9 +138,8 @@ class JoinedMatrix:
         cols, weights = closure_row(closure, self.layout)
         here = len(closure.row) > 0
         row = self.layout.solid_count + int(closure.row[0]) if here else 0
-        count = len(cols) if here else 0
         scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
-        return row, cols[:count], scale * weights[:count]
+        return row, cols, scale * weights
 
     def _network_pattern(self) -> PETSc.Mat:
         size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
@@ -166,8 +165,8 @@ class JoinedMatrix:
         # of each joint end the row that keeps the fluid of its part, where one does, and its size
         self._keeping, self._kept = np.full(self._flow_nodes.shape, -1), np.ones(self._flow_nodes.shape)
         for closure in self._fluids:
-            inside = np.isin(ops.blocks.joints.flow, closure.nodes)
-            self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
+            self._keeping[closure.ends] = layout.flow_numbers(np.array([closure.number]))[0]
+            self._kept[closure.ends] = closure.size
 
     def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
         """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.

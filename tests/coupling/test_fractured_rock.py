@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.shared import Shared
 from fracflow.model.layout import local_rows
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
@@ -15,7 +16,6 @@ from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
-from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, walls
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from fracflow.errors import MOST_NAMED, NotConverged
-from fracflow.model.network_parts import conducting, find_components
+from fracflow.model.network_parts import Parts, conducting
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS
@@ -85,11 +85,13 @@ def _sealed(problem: StepProblem) -> str:
     """The parts of the network in which no pressure is prescribed, with all their fractures. Collective."""
     assert problem.conduction is not None
     operators, held = problem.operators, problem.loads.fixed_flow
-    parts = find_components(operators, conducting(operators, problem.conduction.conductance))
-    shut = [part for part in parts if not np.isin(operators.layout.flow_numbers(part.nodes), held).any()]
-    shut.sort(key=lambda part: -len(part.nodes))
-    more = f" and {len(shut) - MOST_NAMED} more parts" if len(shut) > MOST_NAMED else ""
-    return "; ".join(map(str, shut[:MOST_NAMED])) + more
+    layout, parts = operators.layout, Parts(operators, conducting(operators, problem.conduction.conductance))
+    own = int(layout.flow_starts[layout.comm.rank]) + np.arange(layout.flow_count)
+    shut, count = parts.listed(~parts.any_of(np.isin(layout.flow_numbers(own), held)), MOST_NAMED)
+    named = parts.named(shut)
+    parts.destroy()
+    more = f" and {count - MOST_NAMED} more parts" if count > MOST_NAMED else ""
+    return "; ".join(map(str, named)) + more
 
 
 def _time_steps(problem: StepProblem, matrix: JoinedMatrix, factor: float, unit: str) -> str:

@@ -18,8 +18,8 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.graph import components
+from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, create_matrix
-from fracflow.solve.fractured_rock.shared import Shared
 
 AT_CROSSINGS = 4  # joints at a flow node, each of which may part a hat in another way
 

@@ -20,9 +20,9 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, rows_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
-from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip

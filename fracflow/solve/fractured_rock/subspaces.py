@@ -7,8 +7,8 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, add_blocks, create_matrix
-from fracflow.solve.fractured_rock.shared import Shared
 
 
 def walls(blocks: Blocks, nodes: Shared) -> Floats:

@@ -20,14 +20,21 @@ class Shared:
 
     def largest(self, values: Floats) -> Floats:
         """The largest (k,) of the values (k,) that ranks have for each number. Collective."""
-        self._all.set(float("-inf"))
-        self._here.setArray(values)
-        self._scatter.scatter(self._here, self._all, addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-        return self._fetch()
+        return self._merged(values, float("-inf"), PETSc.InsertMode.MAX_VALUES)
+
+    def summed(self, values: Floats) -> Floats:
+        """The sum (k,) of the values (k,) that ranks have for each number. Collective."""
+        return self._merged(values, 0.0, PETSc.InsertMode.ADD_VALUES)
 
     def of_owners(self, values: Floats) -> Floats:
         """The values (k,) of this rank's numbers, from the values (own,) that each rank has for those it keeps. Collective."""
         self._all.setArray(values)
+        return self._fetch()
+
+    def _merged(self, values: Floats, nothing: float, way: PETSc.InsertMode) -> Floats:
+        self._all.set(nothing)
+        self._here.setArray(values)
+        self._scatter.scatter(self._here, self._all, addv=way, mode=PETSc.ScatterMode.REVERSE)
         return self._fetch()
 
     def _fetch(self) -> Floats:

@@ -1,0 +1,83 @@
+"""Components of a network that ranks cut again and again are those of one rank, and no rank knows all nodes of one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.model.network_parts import Parts, change_volume, close, closure_row, leaving
+from fracflow.model.setup import on_root
+from fracflow.reduction.prepare import prepare, read_split
+from fracflow.scene.scene import load
+
+COMM = MPI.COMM_WORLD
+SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "no_outlet" / "scene.toml"
+STRIPE = 0.8  # m along the fractures, of which each joint is about as long
+OPEN = {"many": 0.85, "all": 1.1, "none": 0.0, "few": 0.3}  # of the joints that conduct; ranks run the first and last
+
+
+@pytest.fixture(scope="module")
+def models():
+    """Cut in stripes among all ranks, and whole on each of them."""
+    scene = load(SCENE, ["geometry.size_at_fractures=0.4"])
+    mesh = on_root(COMM, lambda: read_split(scene))
+    stripes = None
+    if mesh is not None:
+        stripes = (mesh.points[mesh.cells[:, :3]].mean(axis=1)[:, 0] // STRIPE).astype(int) % COMM.size
+    return prepare(scene, COMM, mesh, stripes), prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0))
+
+
+def conducts(blocks, share):
+    """The same joints conduct on any number of ranks."""
+    return np.random.default_rng(7).random(blocks.sizes.joints)[blocks.joints.ids] < share
+
+
+def facts_of(model, share):
+    """Node numbers of the mesh -> what is known of the component, and each component's text and closures' rows."""
+    ops = model.operators
+    parts, comm = Parts(ops, conducts(ops.blocks, share)), ops.layout.comm
+    some = parts.any_of(ops.blocks.flow.ids % 5 == 0)
+    moves = change_volume(ops, parts, model.loads.fixed_solid)
+    assert np.array_equal(parts.own, parts.at(ops.layout.flow_starts[comm.rank] + np.arange(len(parts.own))))
+    rows = zip(
+        ops.blocks.flow.ids.tolist(), *(each[parts.own].tolist() for each in (parts.sizes, some, moves)), strict=True
+    )
+    nodes = {node: facts for part in comm.allgather(list(rows)) for node, *facts in part}
+    roots, count = parts.listed(~some)
+    largest, same = parts.listed(~some, 3)
+    assert count == same == len(roots) and set(largest.tolist()) <= set(roots.tolist())
+    named, closed = parts.named(roots), []
+    for part in named:
+        for holds in (False, True):
+            closure = close(ops, parts, part, parts.at_root(moves, part), holds)
+            cols, weights = closure_row(closure, ops.layout)
+            joined = comm.allreduce(np.array([len(cols), weights.sum(), np.abs(weights).sum(), closure.ends.sum()]))
+            closed.append((closure.by, *joined.tolist(), closure.size, comm.allreduce(len(closure.row))))
+            closure.weights.destroy()
+    found = (
+        nodes,
+        parts.count,
+        sorted(part.count for part in named),
+        sorted(closed),
+        sorted(part.fractures for part in named),
+    )
+    parts.destroy()
+    return found
+
+
+@pytest.mark.parametrize("share", OPEN.values(), ids=OPEN)
+def test_the_parts_are_those_of_one_rank(models, share):
+    cut, whole = (facts_of(model, share) for model in models)
+    assert cut[:3] == whole[:3]
+    assert (whole[1] == 2) == (share > 1.0) and cut[4] == whole[4]
+    for one, other in zip(cut[3], whole[3], strict=True):
+        assert one[0] == other[0] and one[-1] == 1
+        assert one[1:] == pytest.approx(other[1:], rel=1e-10, abs=1e-9)
+
+
+def test_nodes_that_terms_drain_are_known_where_they_are_owned(models):
+    cut, whole = models
+    assert (
+        len(leaving(cut.operators)) == cut.operators.layout.flow_count < len(leaving(whole.operators)) or COMM.size == 1
+    )
