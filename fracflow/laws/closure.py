@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -34,19 +34,15 @@ class NormalClosure:
         At or past -d0: -inf, inf, inf, the limits of the hyperbola, so that no solver can accept the state.
         """
         k_n0, d0, f_n0 = self._parameters(len(opening))
-        crushed, parts = opening <= -d0, -f_n0 / k_n0
-        is_crushed = crushed.any()
-        eps = np.minimum(opening, parts)
-        if is_crushed:
-            eps = np.where(crushed, 0.0, eps)
-        closure = np.minimum(eps, 0.0) / d0
-        squeeze = 1.0 + closure
-        is_open = opening > parts
+        crushed = opening <= -d0
+        closing = opening < 0.0
+        eps = np.where(crushed, 0.0, np.minimum(opening, -f_n0 / k_n0))
+        squeeze = 1.0 + np.minimum(eps, 0.0) / d0
+        is_open = opening > -f_n0 / k_n0
         f_n = np.where(is_open, 0.0, np.minimum(f_n0 + k_n0 * eps / squeeze, 0.0))
         k_n = np.where(is_open, 0.0, k_n0 / squeeze**2)
-        energy = f_n0 * eps + k_n0 * np.where(opening < 0.0, d0**2 * _minus_log(closure), 0.5 * eps**2)
-        if not is_crushed:
-            return f_n, k_n, energy
+        hyperbola = d0**2 * _minus_log(np.minimum(eps, 0.0) / d0)
+        energy = f_n0 * eps + k_n0 * np.where(closing, hyperbola, 0.5 * eps**2)
         return np.where(crushed, -np.inf, f_n), np.where(crushed, np.inf, k_n), np.where(crushed, np.inf, energy)
 
     def is_open(self, opening: Floats) -> Bools:
@@ -85,17 +81,9 @@ class NormalClosure:
         fraction = np.where(moves, gap / np.where(moves, opening, 1.0), np.inf)
         return np.where(fraction > 0.0, fraction, np.inf)
 
-    def _parameters(self, sections: int) -> tuple[Floats, Floats, Floats]:
-        """k_n0, d0 and f_n0 (n,), not to be written to."""
-        if sections not in self._arrays:
-            k_n0, d0, f_n0 = self.normal_stiffness, self.aperture, self.initial_traction
-            self._arrays[sections] = per_section(k_n0, sections), per_section(d0, sections), per_section(f_n0, sections)
-        return self._arrays[sections]
-
-    @cached_property
-    def _arrays(self) -> dict[int, tuple[Floats, Floats, Floats]]:
-        """The parameters by numbers of sections: laws are evaluated often."""
-        return {}
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """k_n0, d0 and f_n0 (n,)."""
+        return (per_section(v, sections) for v in (self.normal_stiffness, self.aperture, self.initial_traction))
 
 
 def _minus_log(x: Floats) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -133,7 +132,6 @@ class Trial:
         strength: Floats,
         margin: Floats,
         coupled: bool,
-        **more: Floats,
     ) -> JointResponse:
         """The response; all (n,).
 
@@ -141,7 +139,6 @@ class Trial:
         by_size    d carried / d size of the trial
         by_normal  d carried / d f_n, used where the section is pressed and the tangent is ``coupled``
         strength   to report
-        more       other variables of the new history, by name
         """
         sections, dim = self.strain.shape
         latch, size, free, crushed, k_s = self.history["sliding"], self.size, self.free, self.crushed, self.k_s
@@ -151,27 +148,26 @@ class Trial:
         direction = np.where(((size > 0.0) & ~backwards)[:, None], self.shear / divisor[:, None], latch)
         f_s = np.where(slides[:, None], held[:, None] * direction, np.where(free[:, None], 0.0, self.shear))
         plastic = self.history["plastic_slip"] + (self.shear - f_s) / k_s[:, None]
-        latched = slides[:, None] * direction
 
         tangent = np.zeros((sections, dim, dim))
         ratio = np.where(slides, held / divisor, np.where(free, 0.0, 1.0)) * k_s
-        outer = latched[:, :, None] * direction[:, None, :]
+        outer = slides[:, None, None] * direction[:, :, None] * direction[:, None, :]
         tangent[:, :-1, :-1] = ratio[:, None, None] * (np.eye(dim - 1) - outer) + (by_size * k_s)[:, None, None] * outer
         tangent[:, -1, -1] = self.k_n
         if coupled:
             slope = np.where(slides & (self.f_n < 0.0) & ~crushed, by_normal, 0.0)
             tangent[:, :-1, -1] = (slope * np.where(crushed, 0.0, self.k_n))[:, None] * direction
 
-        if crushed.any():
-            plastic = np.where(crushed[:, None], self.history["plastic_slip"], plastic)
-            latched = np.where(crushed[:, None], latch, latched)
-        new_history = {"plastic_slip": plastic, "sliding": latched, **more}
+        new_history = {
+            "plastic_slip": np.where(crushed[:, None], self.history["plastic_slip"], plastic),
+            "sliding": np.where(crushed[:, None], latch, slides[:, None] * direction),
+        }
         squares = np.einsum("ni,ni->n", f_s, f_s) - np.einsum("ni,ni->n", self.f_s0, self.f_s0)
         return JointResponse(
             traction=np.concatenate([f_s, self.f_n[:, None]], axis=1),
             tangent=tangent,
             stored=self.normal_energy + squares / (2.0 * k_s),
-            inelastic=np.concatenate([plastic, np.zeros((sections, 1))], axis=1),
+            inelastic=np.concatenate([new_history["plastic_slip"], np.zeros((sections, 1))], axis=1),
             strength=strength,
             utilisation=np.where(slides, 1.0, _quotient(np.linalg.norm(f_s, axis=-1), strength)),
             is_sliding=slides,
@@ -198,7 +194,7 @@ class FrictionLaw(JointLaw):
     slides: ClassVar[bool] = True
     opens: ClassVar[bool] = True
 
-    @cached_property
+    @property
     def closure(self) -> NormalClosure:
         """The normal law."""
         return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)

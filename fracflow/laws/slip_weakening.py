@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -99,7 +99,7 @@ class SlipWeakening(FrictionLaw):
         unmoved = strength if step.hold else np.minimum(strength, trial.size)
         carried = np.where(slip > 0.0, cohesion - f_n * now, unmoved)
         slid = slides & ~trial.crushed
-        return trial.response(
+        response = trial.response(
             slides=slides,
             carried=carried,
             by_size=1.0 - share,
@@ -107,8 +107,8 @@ class SlipWeakening(FrictionLaw):
             strength=np.where(slid & (slip > 0.0), carried, strength),
             margin=trial.margin(strength, strength),
             coupled=self.coupled_tangent,
-            slip_path=path + np.where(slid, slip, 0.0),
         )
+        return replace(response, history={**response.history, "slip_path": path + np.where(slid, slip, 0.0)})
 
     def steepness(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
