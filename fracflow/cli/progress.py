@@ -42,7 +42,7 @@ class RunProgress(Observer):
     show      is given a line, and the share of the stage that is done or None where its end is not known
     seconds   the time now [s]
     on_saved  is given the number of steps up to the last state on disk
-    on_trial   is given the trial under way
+    on_trial  is given the trial under way
     """
 
     def __init__(

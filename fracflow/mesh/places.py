@@ -16,11 +16,11 @@ def extent_of(points: Floats) -> float:
     return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
 
-def without_round_off(place: Iterable[float], extent: float) -> tuple[float, ...]:
+def place_without_round_off(place: Iterable[float], extent: float) -> tuple[float, ...]:
     """The coordinates of a place, zero where they are round-off of points of this ``extent`` [length]."""
     return tuple(0.0 if abs(value) < ROUND_OFF * extent else float(value) for value in place)
 
 
 def place_text(place: Iterable[float], extent: float) -> str:
-    """The same as text, of six digits."""
-    return "(" + ", ".join(f"{value:.6g}" for value in without_round_off(place, extent)) + ")"
+    """A place without round-off as text, of six digits."""
+    return "(" + ", ".join(f"{value:.6g}" for value in place_without_round_off(place, extent)) + ")"

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.places import extent_of, without_round_off
+from fracflow.mesh.places import extent_of, place_without_round_off
 from fracflow.mesh.plane.planar_graph import near_edges
 from fracflow.mesh.plane.traces import TraceNetwork
 
@@ -89,7 +89,7 @@ def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[st
         for pair in pairs:
             taken.setdefault(pair, []).append(here)
         names = tuple(traces[each] for each in own)
-        (x, y), (a, b) = (without_round_off(each, extent) for each in (here, place.point))
+        (x, y), (a, b) = (place_without_round_off(each, extent) for each in (here, place.point))
         found.append(NearMiss(kind, names, (x, y), label[owner], (a, b), distance, _up(distance)))
     return sorted(found, key=lambda miss: miss.kind == "end beyond")
 
