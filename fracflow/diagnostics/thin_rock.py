@@ -21,6 +21,7 @@ LOCKS = 2.0 / 3.0
 """Rock g thick bends too stiffly by at least 1 + 2/3 (h/g)^2, of triangles h long with one strain each. This is the variance
 h^2/18 of places in a triangle over g^2/12 of places in the rock. Measured 4.1 at h = 2 g (3.7), and 2.7 at h = g (1.7)."""
 REACH = 2.0 * ROOT  # joints at a tip, within which the rock beside it is looked for
+AROUND = 1.2  # thicknesses at the tip, within which rock counts as between both
 MOST = 10  # lines
 
 
@@ -97,34 +98,35 @@ def _line(scene: Scene, rock: ThinRock, extent: float) -> str:
 
 def _thin_rock(scene: Scene, mesh: SplitMesh) -> Iterator[ThinRock]:
     """All thin rock at tips of fractures in the plane, resolved or not, within ``REACH`` joints."""
-    if mesh.points.shape[1] != 2 or not len(mesh.joint_fracture):
+    tips = np.argwhere(mesh.joint_bottom == mesh.joint_top)  # walls hang together there
+    if mesh.points.shape[1] != 2 or not len(tips):
         return
-    from scipy.spatial import cKDTree  # imports much
-
     facets = _facets(scene, mesh)
-    tree = cKDTree(facets.ends.mean(axis=1))
-    for joint, end in np.argwhere(mesh.joint_bottom == mesh.joint_top).tolist():  # walls hang together at tips
+    names, longest = (*mesh.fractures, *mesh.sides), facets.length.max()
+    middle = facets.ends.mean(axis=1)
+    by_x = np.argsort(middle[:, 0], kind="stable")
+    sorted_x = middle[by_x, 0]
+    for joint, end in tips.tolist():
         place, own, size = facets.ends[joint, end], facets.owner[joint], facets.length[joint]
-        near = np.array(tree.query_ball_point(place, REACH * size), dtype=np.int64)
+        first, last = np.searchsorted(sorted_x, place[0] + (REACH * size + longest) * np.array([-1.0, 1.0]))
+        near = by_x[first:last]
         near = near[facets.owner[near] != own]
-        along = np.abs(facets.heading[near] @ facets.heading[joint])
-        near = near[along > ALONG]
+        near = near[np.abs(facets.heading[near] @ facets.heading[joint]) > ALONG]
         away = _distances(place, facets.ends[near])
+        near, away = near[away < REACH * size], away[away < REACH * size]
         for other in np.unique(facets.owner[near]).tolist():
-            gaps = np.where(facets.owner[near] == other, away, np.inf)
-            thickness = float(gaps.min())
-            beside = facets.beside(own, other, 1.2 * thickness)
+            thickness = float(away[facets.owner[near] == other].min())
+            beside = facets.beside(own, other, AROUND * thickness)
             length = float(facets.length[beside].sum())
-            longest = facets.length[facets.owner == own].max()
-            if not 0.0 < thickness < SLENDER * length or length < longest:
+            if not 0.0 < thickness < SLENDER * length or length < facets.length[facets.of(own)].max():
                 continue
-            shared = np.intersect1d(facets.nodes[facets.owner == own], facets.nodes[facets.owner == other])
+            shared = np.intersect1d(facets.nodes[facets.of(own)], facets.nodes[facets.of(other)])
             at = mesh.points[shared]
             meeting = at[np.argmin(np.linalg.norm(at - place, axis=1))] if len(at) else None
-            is_side, names = other >= len(mesh.fractures), (*mesh.fractures, *mesh.sides)
-            held_by_tip = meeting is not None and not is_side
-            joint = float(size if held_by_tip else facets.length[beside].max())
-            yield ThinRock(names[own], names[other], is_side, place, meeting, thickness, length, joint)
+            is_side = other >= len(mesh.fractures)
+            ends_there = meeting is not None and not is_side
+            worst = float(size if ends_there else facets.length[beside].max())
+            yield ThinRock(names[own], names[other], is_side, place, meeting, thickness, length, worst)
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,7 @@ class _Facets:
     owner    (f,) fracture, or side behind the fractures
     length   (f,) [length]
     heading  (f, 2) [1]
+    by_owner (f,) facets in the order of their owners, each of which begins at its entry of ``starts``
     """
 
     nodes: Ints
@@ -143,10 +146,16 @@ class _Facets:
     owner: Ints
     length: Floats
     heading: Floats
+    by_owner: Ints
+    starts: Ints
+
+    def of(self, owner: int) -> Ints:
+        """Those of one owner."""
+        return self.by_owner[self.starts[owner] : self.starts[owner + 1]]
 
     def beside(self, own: int, other: int, within: float) -> Ints:
         """Those of one owner whose middles face one of the other at a distance of at most so much [length]."""
-        mine, theirs = np.flatnonzero(self.owner == own), np.flatnonzero(self.owner == other)
+        mine, theirs = self.of(own), self.of(other)
         middle, start = self.ends[mine].mean(axis=1), self.ends[theirs, 0]
         from scipy.spatial import cKDTree  # imports much
 
@@ -168,7 +177,8 @@ def _facets(scene: Scene, mesh: SplitMesh) -> _Facets:
     step = np.diff(ends, axis=1)[:, 0]
     length = np.linalg.norm(step, axis=1)
     owner = np.concatenate([mesh.joint_fracture, len(mesh.fractures) + mesh.side_of[free]])
-    return _Facets(nodes, ends, owner, length, step / length[:, None])
+    starts = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(mesh.fractures) + len(mesh.sides)))])
+    return _Facets(nodes, ends, owner, length, step / length[:, None], np.argsort(owner, kind="stable"), starts)
 
 
 def _distances(place: Floats, ends: Floats) -> Floats:

@@ -39,7 +39,9 @@ def at_tips(ends: Floats) -> Floats:
     a shift of the tip would make. Their equations are T D = AT_TIP D_1 e_1, with a Toeplitz matrix T of symbol
     G(t) |2 sin(t/2)|, and G = pi |2 sin(t/2)|^3 sum_n |t + 2 pi n|^-3. By Wiener and Hopf's factors
     AT_TIP = e^g (1/4 - S)/(5/4 - S), where g is the mean of ln G and S that of ln(pi/G)/(4 sin^2(t/2)). Such a correction is
-    that of Ryder and Napier (1985), there for constant jumps. A jump that ends less steeply has little of it.
+    that of Ryder and Napier (1985), there for constant jumps. Linear jumps then have the volume of the root, for which the node
+    beside the tip lies 14 % above it; the next are within 0.7 %. Without the addition the first is 2 % above, the next 3, 2 and
+    1 % below. A jump that ends less steeply has little of it.
     """
     _, number, count = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
     return np.asarray(AT_TIP * np.sum(count[number.ravel()].reshape(-1, 2) == 1, axis=1))

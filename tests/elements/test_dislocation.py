@@ -67,6 +67,8 @@ def test_equal_joints_along_a_crack_have_order_two():
         exact, inner = 4 * np.sqrt(1 - nodes[1:-1] ** 2), np.abs(nodes[1:-1]) < 0.9
         errors.append([np.abs(jumps - exact)[inner].max() / 4, abs(2 / count * jumps.sum() / (2 * np.pi) - 1)])
     assert max(errors[1]) < 1e-3 and np.all(np.log2(np.divide(*errors)) > 1.9)
+    first, *next_ones = (jumps / exact - 1)[:10]  # linear jumps of the root's volume lie above it beside the tip
+    assert first == pytest.approx(0.14, abs=2e-3) and np.abs(next_ones).max() < 0.008
 
 
 def test_a_tip_is_an_end_of_one_segment():

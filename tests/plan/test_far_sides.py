@@ -75,7 +75,10 @@ def dear_meshes(monkeypatch):
 
 
 def test_far_sides_are_left_out(shared_tmp, dear_meshes):
-    """Within the tolerance of a fine mesh, and nearer to it than the mesh of the scene; on ranks alike."""
+    """Within the tolerance of a fine mesh, and nearer to it than the mesh of the scene; on ranks alike.
+
+    Both err by 0.8 and 0.7 % against joints of 0.5 m, 0.1 m at tips, without sides; with a growth of 0.1 the fine one by 0.9 %.
+    """
     run(scene_of(), shared_tmp / "free")
     fine = scene_of().with_geometry({"size_at_fractures": 0.7, "size_at_tips": 0.2, "growth": 0.05})
     run(fine.model_copy(update={"model": "full"}), shared_tmp / "full")

@@ -193,8 +193,10 @@ def test_lengths_do_not_depend_on_how_iterations_are_counted():
 def test_two_solves_of_a_step_cost_what_both_do():
     """Costs add up; what is left of the balances is what the second leaves, and what happened in the first stays known."""
     first = StepReport(3, 40, 2, 5, 1e-9, 1e-8, handed_over="why", round_off=1e-13, located=2)
-    second = StepReport(1, 10, 7, 1, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "", 1e-14, 1)
-    right = StepReport(4, 50, 7, 6, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "why", 1e-13, 3)
+    second = StepReport(1, 10, 7, 1, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, round_off=1e-14, located=1)
+    right = StepReport(
+        4, 50, 7, 6, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, handed_over="why", round_off=1e-13, located=3
+    )
     assert second.after(first) == right and second.after(StepReport()) == second
 
 
