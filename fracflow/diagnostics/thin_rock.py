@@ -92,8 +92,14 @@ def _line(scene: Scene, rock: ThinRock, extent: float) -> str:
     return (
         f"mesh: {rock.fracture} and {other} {how}, and joints of {rock.joint:.3g}{unit} do not resolve the rock between them,"
         f" {rock.thickness:.3g}{unit} thick at the tip {place_text(rock.tip, extent)}: {does}: it needs joints of"
-        f" {rock.wanted:.2g}{unit} there, {remedy}"
+        f" {_down(rock.wanted):.2g}{unit} there, {remedy}"
     )
+
+
+def _down(length: float) -> float:
+    """A length of two digits, no longer: joints of more would have the line again."""
+    unit = 10.0 ** (np.floor(np.log10(length)) - 1.0)
+    return float(np.floor(length / unit * (1.0 + 1e-9)) * unit)
 
 
 def _thin_rock(scene: Scene, mesh: SplitMesh) -> Iterator[ThinRock]:

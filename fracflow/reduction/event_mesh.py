@@ -95,8 +95,9 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     extent, margin = float(np.ptp(points, axis=0).max()), geometry.event_margin
     beside = MARGIN * extent if margin is None else margin
     change = f"the slip and opening of an event by about {100.0 * nearness(extent, beside):.2g} %"
-    held = f"absorbing sides (geometry.event_margin), which change {change}"
-    sides = f"with {held if bounded is None else 'the sides of the scene'}"
+    sides = "the sides of the scene"
+    if bounded is None:
+        sides = f"absorbing sides (geometry.event_margin), which change {change}"
     near = []
     if bounded is None and margin is not None and margin < extent:
         near.append(
@@ -106,8 +107,8 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     return (
         *near,
         note(
-            f"stage auto: the rock is meshed once an event needs inertia, and stays so: {cells}"
-            f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}, {sides}"
+            f"stage auto: once an event needs inertia the rock is meshed for good, with {sides}: {cells}"
+            f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}"
         ),
     )
 

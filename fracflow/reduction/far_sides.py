@@ -95,6 +95,8 @@ def _obstacles(scene: Scene) -> Iterator[str]:
     if scene.output.fields_every:
         yield "output.fields_every asks for fields of the rock up to its sides"
     method = scene.method
+    if method.stepper == "explicit" and scene.has_dynamics:
+        yield 'method.stepper = "explicit" divides by the mass of cells, also before an event'
     if method.coupling != "auto" or method.rock_solver != "auto" or scene.petsc or geometry.cells != "triangles":
         yield "its solver or its cells are stated"
 

@@ -204,6 +204,8 @@ def _ringing(scene: Scene) -> Iterator[str]:
     if unlike and not damps and scene.model != "report" and scene.has_dynamics:
         explicit = method.stepper == "explicit"
         remedy = "method.fault_damping above 0" if explicit else 'method.stepper = "explicit", which damps it'
+        if scene.is_unbounded:
+            remedy = f"{remedy}, with geometry.domain = [xmin, ymin, xmax, ymax] and [[absorbing]] sides"
         yield (
             f"fracture.{ruptures[0]}: behind a rupture on walls that are not meshed as mirror images the normal traction rings"
             f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"

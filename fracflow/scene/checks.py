@@ -207,6 +207,9 @@ def _unbounded(scene: Tables) -> Iterator[Fault]:
     for key, tables in scene.term_tables.items():
         if key != "absorbing" and (tables[0].places == "sides" or not tables[0].drains):
             yield (key,), f"{free} sides and cells for it: remove it, or {bounded}"
+    if scene.method.stepper == "explicit" and scene.has_dynamics:
+        why = f'is "explicit", which divides by mass, and {free} cells that have any until an event needs them'
+        yield ("method", "stepper"), f'{why}: use "generalised-alpha", or {bounded}'
     if scene.method.rock_solver == "multigrid":
         yield ("method", "rock_solver"), f'{free} cells to coarsen: use "auto", or {bounded}'
     if scene.geometry.cells != "triangles":

@@ -64,7 +64,7 @@ def lines_of(folder, geometry, *settings):
 @pytest.mark.parametrize(
     ("geometry", "wanted"),
     [
-        (drawn(*WEDGE), ["b and a meet at 6 degrees", "0.0946 m thick", "parted wrongly", "of 0.012 m", "a finer mesh"]),
+        (drawn(*WEDGE), ["b and a meet at 6 degrees", "0.0946 m thick", "parted wrongly", "of 0.011 m", "a finer mesh"]),
         (drawn(*WEDGE, size=0.01), None),
         (traces(*WEDGE), None),  # its tip has fine cells
         (drawn(LONG, ("b", [[0, -2], [0.9, -2 + 0.9 * TWENTY]])), None),
@@ -81,6 +81,14 @@ def test_a_line_where_joints_do_not_resolve_the_rock_at_a_tip(tmp_path, geometry
     assert len(found) == (wanted is not None)
     for part in wanted or ():
         assert part in found[0]
+
+
+def test_joints_as_long_as_the_line_says_serve(tmp_path):
+    """Rock 0.0546 m thick needs joints of 0.0546 m, which are 0.055 m in two digits."""
+    beside = LONG, ("b", [[-0.4, -1.9454], [0.4, -1.9454]])
+    (told,) = lines_of(tmp_path, traces(*beside))
+    size = float(told.split("it needs joints of ")[1].split()[0])
+    assert size == 0.054 and not lines_of(tmp_path, traces(*beside, size=size))
 
 
 def test_rock_beside_a_side_that_is_held_does_not_bend(tmp_path):

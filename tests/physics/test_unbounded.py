@@ -300,6 +300,12 @@ def test_joints_shorter_than_tips_need_have_no_size_of_tips(tmp_path):
     scene = load(file, ["rock.rock.density=2700", "fracture.default.stick_slip_ratio=0.9"])
     (told,) = [line for line in advice(scene) if "waves" in line]
     assert "generalised-alpha" in told and "absorbing" not in told
+    with pytest.raises(InputError, match=r"method\.stepper.*no cells that have any.*generalised-alpha"):
+        load(file, ["rock.rock.density=2700", "method.stepper=explicit"])
+    weakens = ["law=slip-weakening", "dynamic_friction_coefficient=0.4", "slip_weakening_distance=1e-3"]
+    of_law = load(file, ["rock.rock.density=2700", *(f"fracture.default.{each}" for each in weakens)])
+    (told,) = [line for line in advice(of_law) if "explicit" in line]
+    assert "with geometry.domain = [xmin" in told
     proposed = with_sizes(scene, MPI.COMM_SELF)
     (told,) = [line for line in proposed.notes if "E'/k_s / 4 = 0.667" in line]
     assert "size_at_fractures" in told and "2000 joints, the most that are proposed, do not reach it" in told

@@ -163,6 +163,16 @@ def slipping(**changes):
 
 
 @pytest.mark.serial
+def test_explicit_steps_keep_the_mesh(dear_meshes):
+    """They divide by the mass of cells, which rock without a mesh has none of; stages without inertia have no such steps."""
+    explicit = {"stepper": "explicit"}
+    assert far_sides.assessed(slipping()).why == "" and far_sides.assessed(scene_of(method=explicit)).why == ""
+    kept = slipping(method=explicit)
+    assert far_sides.assessed(kept).why
+    assert any("divides by the mass" in each for each in far_sides.one_obstacle(kept))
+
+
+@pytest.mark.serial
 def test_an_event_brings_the_sides_back(tmp_path, dear_meshes):
     """Before it the rock is not meshed; then the sides are those of the scene."""
     run(slipping(), tmp_path / "free")
