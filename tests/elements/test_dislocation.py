@@ -73,7 +73,27 @@ def test_equal_joints_along_a_crack_have_order_two():
 
 def test_a_tip_is_an_end_of_one_segment():
     ends, _ = crack(3)
-    np.testing.assert_array_equal(at_tips(ends) / AT_TIP, [0, 0, 1] * 3)
+    np.testing.assert_allclose(at_tips(ends) / AT_TIP, [0, 0, 1] * 3, atol=1e-14)
+
+
+@pytest.mark.parametrize("gap", [1.0, 0.8, 0.7, 0.6, 0.5, 0.1])
+def test_the_rock_between_tips_side_by_side_has_a_positive_energy(gap):
+    """Four cracks one over the other, so many joints apart: at 0.8 and less the whole addition makes some negative."""
+    count, cracks = 10, 4
+    nodes = np.stack([np.arange(count + 1.0), np.zeros(count + 1)], axis=1)
+    one = np.stack([nodes[:-1], nodes[1:]], axis=1)
+    ends = np.concatenate([one + np.array([0.0, k * gap]) for k in range(cracks)])
+    change = np.kron(np.eye(cracks), np.eye(count, count - 1) - np.eye(count, count - 1, -1))
+    means = energies(ends, np.arange(len(ends)), at_tips(ends))
+    xx, yy, xy = (-change.T @ means[:, :, k] @ change for k in range(3))
+    assert np.linalg.eigvalsh(np.block([[xx, xy], [xy, yy]]))[0] > 0.0
+
+
+def test_a_tip_beside_another_trace_has_less_of_it():
+    """By the distance over its own joint, even where the middle of the other one is far."""
+    for gap, share in ((0.3, 0.0), (0.6, 0.2), (0.75, 0.5), (1.1, 1.0)):
+        ends = np.array([[[-1.0, 0.0], [0.0, 0.0]], [[-2.0, 0.0], [-1.0, 0.0]], [[-2.0, gap], [30.0, gap]]])
+        np.testing.assert_allclose(at_tips(ends)[:2] / AT_TIP, share, atol=1e-12)
 
 
 def crack(count=40):
