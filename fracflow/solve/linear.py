@@ -204,13 +204,20 @@ def renew(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     set_up(solver, matrix)
 
 
+def drop_factors(solver: PETSc.KSP) -> None:
+    """Drop factors that failed, with the operators; LU alone. Collective.
+
+    MUMPS makes no new factors once it found a matrix singular, and a solve with those ends in an error of its own.
+    """
+    if solver.getPC().getType() == "lu":
+        solver.getPC().reset()
+
+
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: list[BaseException]) -> None:
     """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and drops its factors. Collective.
 
     refusals  errors, the same on every rank, that the functions of the SNES put here instead of raising them: newer
               PETSc, 3.22 say, keeps a vector locked where a function raises. One is raised here, once the SNES has ended
-
-    A MUMPS solve with failed factors ends in an error of its own.
     """
     refusals.clear()
     try:
@@ -223,8 +230,7 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
             raise refusals.pop()
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
-        if solver.getPC().getType() == "lu":
-            solver.getPC().reset()
+        drop_factors(solver)
         if isinstance(error, Unsolved) or error.ierr != BROKEN:
             raise
         reason = str(error).splitlines()[-1].partition("] ")[2]

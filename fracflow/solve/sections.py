@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy, timed
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, Unsolved
 from fracflow.integrators import Alphas
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats, Ints
@@ -29,7 +29,7 @@ from fracflow.model.terms.term import TermStep
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.failure import fractures_of
-from fracflow.solve.linear import check_solution
+from fracflow.solve.linear import check_solution, drop_factors
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import TINY, largest, over_ranks, round_off_of_uptake
@@ -188,6 +188,9 @@ class FlowOnJoints:
             check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the fluid on the joints")
             found = network.at_ends(change).ravel()
             problem.pressure.axpy(1.0, change)
+        except Unsolved:
+            drop_factors(self.solver)
+            raise
         finally:
             destroy(left, change)
         return found
