@@ -83,7 +83,7 @@ class Couplings:
         pays = f"pays from {plan.pays:.0f} steps of one length on" if plan.pays < math.inf else pays
         return note(
             f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
-            f" stage {', '.join(stages) or 'none'}"
+            f" {'stage ' + ', '.join(stages) if stages else 'no stage has so many'}"
         )
 
     def destroy(self) -> None:
