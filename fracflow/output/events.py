@@ -65,7 +65,7 @@ class _Running:
 
 
 SHARE = 100.0  # of the CPU time that writing the file takes, where that is ``LONG``, lie between two such times
-LONG = 2e-3  # [s]
+LONG = 2e-4  # [s]
 
 
 class EventLog:
