@@ -31,7 +31,9 @@ LAYERS = (
 MOST_AT_ROOT, MOST_IN_PACKAGE = 9, 25  # files
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
 PLAIN = {"laws", "elements", "integrators"}  # NumPy only
-SHARED_LAWS = {"__init__", "base", "closure", "cubic_flow", "elastic", "friction", "leak_off", "roughness", "terms"}
+SHARED_LAWS = {
+    "__init__", "base", "closure", "compiled", "cubic_flow", "elastic", "friction", "leak_off", "roughness", "terms",
+}  # fmt: skip
 BESIDE = {("storage", "errors"), ("_petsc", "errors"), ("__main__", "cli")}
 
 

@@ -130,7 +130,7 @@ class JointLaw(Protocol):
     creeps        whether it slips at any traction, at a rate that depends on it
     weakens_over  key of the slip over which its strength falls; empty where it has none
     no_drop       setting with which its strength does not drop at once; empty where it never does
-    compiled      number of its copy in the plane, among the compiled loops of explicit steps. It is not inherited, since a
+    compiled      number of its copy in the plane, in ``friction.h`` or ``joints.c``. It is not inherited, since a
                   law that inherits may respond otherwise. None without a copy
     """
 

@@ -15,8 +15,7 @@ from fracflow.laws.roughness import Roughness
 
 def _walls(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats]:
     """End apertures, those below zero taken as closed."""
-    d1, d2 = np.broadcast_arrays(np.asarray(aperture_1, dtype=float), np.asarray(aperture_2, dtype=float))
-    return np.maximum(d1, 0.0), np.maximum(d2, 0.0)
+    return np.maximum(np.asarray(aperture_1, dtype=float), 0.0), np.maximum(np.asarray(aperture_2, dtype=float), 0.0)
 
 
 def report_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats, Floats]:
@@ -40,8 +39,8 @@ def exact_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Float
     """
     d1, d2 = _walls(aperture_1, aperture_2)
     total = d1 + d2
-    share_1 = d1 / np.where(total > 0.0, total, 1.0)
-    share_2 = d2 / np.where(total > 0.0, total, 1.0)
+    divisor = np.where(total > 0.0, total, 1.0)
+    share_1, share_2 = d1 / divisor, d2 / divisor
     mean = 2.0 * share_1 * d1 * d2 * d2
     slope_1 = 2.0 * share_1 * share_2 * d2 * (total + d2)
     slope_2 = 2.0 * share_1 * share_2 * d1 * (total + d1)
@@ -53,8 +52,12 @@ def conductance(mean_cube: Parameter, length: Parameter, viscosity: Parameter) -
 
     mean_cube (n,) [length^3], length (n,) [length], viscosity [stress time]; result [length^2/(stress time)].
     """
-    resistance = 12.0 * np.asarray(viscosity, dtype=float) * np.asarray(length, dtype=float)
-    return np.asarray(np.asarray(mean_cube, dtype=float) / resistance)
+    return np.asarray(np.asarray(mean_cube, dtype=float) / _resistance(length, viscosity))
+
+
+def _resistance(length: Parameter, viscosity: Parameter) -> Floats:
+    """The mean cube that drives no more than a unit: 12 mu L."""
+    return np.asarray(12.0 * np.asarray(viscosity, dtype=float) * np.asarray(length, dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +126,21 @@ class CubicLaw(FlowLaw):
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """(3.14a,e) Mean cube over 12 mu L, of openings (n, 2); arguments and results as for ``FlowLaw``."""
-        hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
-        mean, slope_1, slope_2 = self.mean_cube(hydraulic[:, 0], hydraulic[:, 1])
-        slope = conductance(np.stack([slope_1, slope_2], axis=1), self.length[:, None], self.viscosity)
+        return self._between(*self.hydraulic(opening, slip, history, step))
+
+    def _between(self, hydraulic: Floats, by_opening: Floats, by_slip: Floats | None) -> Conductance:
+        """The same of hydraulic apertures (n, 2) and their derivatives."""
+        slope = np.empty_like(hydraulic)
+        mean, slope[:, 0], slope[:, 1] = self.mean_cube(hydraulic[:, 0], hydraulic[:, 1])
+        slope /= self._resists[:, None]
         return Conductance(
-            conductance(mean, self.length, self.viscosity),
-            slope * by_opening,
-            None if by_slip is None else slope[:, :, None] * by_slip,
+            mean / self._resists, slope * by_opening, None if by_slip is None else slope[:, :, None] * by_slip
         )
+
+    @cached_property
+    def _resists(self) -> Floats:
+        """12 mu L (n,), as ``conductance`` divides by it."""
+        return _resistance(self.length, self.viscosity)
 
 
 class ExactCubic(CubicLaw):
@@ -162,8 +172,8 @@ class FrontCubic(ExactCubic):
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
-        found = super().conductance(opening, slip, history, step)
-        rest = self._rest
+        hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
+        found, rest = self._between(hydraulic, by_opening, by_slip), self._rest
         is_apart = opening > -rest[:, None]
         apart = np.where(is_apart, opening, -rest[:, None])
         parted = apart[:, 0] - apart[:, 1]
@@ -171,9 +181,8 @@ class FrontCubic(ExactCubic):
         there = beyond > 0.0
         if not there.any():
             return found
-        hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
         beyond, total = np.where(there, beyond, 1.0), np.where(there, hydraulic.sum(axis=1), 1.0)
-        front = conductance(np.where(there, FRONT * beyond**4 / total, 0.0), self.length, self.viscosity)
+        front = np.where(there, FRONT * beyond**4 / total, 0.0) / self._resists
         away = (4.0 * front * np.sign(parted) / beyond)[:, None] * np.array([1.0, -1.0]) * is_apart
         narrower = (front / total)[:, None]
         return Conductance(

@@ -6,6 +6,7 @@ Everything is per unit thickness, with the pressure as unknown. Ends: each joint
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -158,12 +159,15 @@ class Flow:
 
     def _conductance(self, opening: Floats, walls: Walls) -> Conductance:
         """Of the law, or what the scene gives in its place; by the hydraulic opening, and by plastic slip where it grows."""
-        rough, by_law = self.law.roughness, np.isnan(self.given)
+        rough = self.law.roughness
         hydraulic = opening if rough is None else rough.ratio * opening
         found = self.law.conductance(hydraulic, walls.slip, walls.history, walls.step)
-        value = np.where(by_law, found.value, self.given / self.length)
-        slope = np.where(by_law[:, None], found.by_opening, 0.0)
-        by_slip = None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0)
+        value, slope, by_slip = found.value, found.by_opening, found.by_slip
+        if self._has_given:
+            by_law = np.isnan(self.given)
+            value = np.where(by_law, value, self.given / self.length)
+            slope = np.where(by_law[:, None], slope, 0.0)
+            by_slip = None if by_slip is None else np.where(by_law[:, None, None], by_slip, 0.0)
         if rough is None:
             return Conductance(value, slope, by_slip)
         slope = slope * rough.ratio
@@ -173,6 +177,11 @@ class Flow:
         with_slip = value[:, None, None] * by_strain
         by_slip = with_slip[..., :-1] + (0.0 if by_slip is None else factor[:, None, None] * by_slip)
         return Conductance(factor * value, factor[:, None] * slope + with_slip[..., -1], by_slip)
+
+    @cached_property
+    def _has_given(self) -> bool:
+        """Whether the scene gives any conductance of this rank."""
+        return not np.isnan(self.given).all()
 
     def leaving(self, driving: Floats, aperture: Floats, step: TermStep) -> Leaving | None:
         """Fluid that leaves by terms at pressures above rest and apertures (j, 2); None without such terms."""

@@ -17,6 +17,7 @@ from fracflow.elements import facet, joint
 from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
 from fracflow.laws.base import INSTANT
+from fracflow.laws.compiled import Evaluates, fastest
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, matrix_of, product
@@ -24,6 +25,11 @@ from fracflow.model.properties import along_fractures, initial_pressure, initial
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
+
+RESPONSE = (
+    "traction", "tangent", "stored", "inelastic", "strength", "utilisation", "is_sliding", "is_open", "margin",
+)  # fmt: skip
+"""Fields of a ``JointResponse`` that ``Sections`` has, but for histories."""
 
 
 @dataclass(frozen=True)
@@ -190,29 +196,40 @@ class Joints:
 
     def evaluate(self, strain: Floats, history: SectionHistory, step: LawStep = INSTANT) -> Sections:
         """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
-        count = len(strain)
+        count, dim = len(strain), self.dim
+        if self._is_alone:
+            response = self._fastest[0].evaluate(strain, history[0], step)
+            whole = {name: getattr(response, name) for name in RESPONSE}
+            return Sections(
+                strain=strain, blur=np.zeros((count, dim)), record=np.zeros(count), history=(response.history,), **whole
+            )
         whole = {
-            "strain": strain,
-            "traction": np.zeros((count, self.dim)),
-            "tangent": np.zeros((count, self.dim, self.dim)),
+            "traction": np.zeros((count, dim)),
+            "tangent": np.zeros((count, dim, dim)),
             "stored": np.zeros(count),
-            "inelastic": np.zeros((count, self.dim)),
+            "inelastic": np.zeros((count, dim)),
             "strength": np.full(count, np.inf),
             "utilisation": np.zeros(count),
             "is_sliding": np.zeros(count, dtype=bool),
             "is_open": np.zeros(count, dtype=bool),
             "margin": np.full(count, np.inf),
-            "blur": np.zeros((count, self.dim)),
-            "record": np.zeros(count),
         }
         new = []
-        for group, before in zip(self.laws, history, strict=True):
-            response = group.law.evaluate(strain[group.sections], before, step.of(group.sections))
+        for group, law, before in zip(self.laws, self._fastest, history, strict=True):
+            response = law.evaluate(strain[group.sections], before, step.of(group.sections))
             for name, values in whole.items():
-                if name not in ("strain", "blur", "record"):
-                    values[group.sections] = getattr(response, name)
+                values[group.sections] = getattr(response, name)
             new.append(response.history)
-        return Sections(history=tuple(new), **whole)
+        return Sections(strain=strain, blur=np.zeros((count, dim)), record=np.zeros(count), history=tuple(new), **whole)
+
+    @cached_property
+    def _fastest(self) -> tuple[Evaluates, ...]:
+        return tuple(fastest(group.law, len(group.sections), self.dim) for group in self.laws)
+
+    @cached_property
+    def _is_alone(self) -> bool:
+        """Whether all sections follow one law, in their order."""
+        return len(self.laws) == 1 and np.array_equal(self.laws[0].sections, np.arange(len(self.weights)))
 
     def with_status(self, history: SectionHistory, trial: SectionHistory) -> SectionHistory:
         """``history`` with the statuses of ``trial``: the histories from which the next iteration starts."""

@@ -64,14 +64,14 @@ class _Running:
     peak_rate: Floats
 
 
-SHARE = 100.0  # of the CPU time that writing the file takes, where that is ``LONG``, lie between two such times
-LONG = 2e-3  # [s]
+SHARE = 100.0  # of the CPU time that writing the file takes, once that was ``LONG`` in all, lie between two such times
+LONG = 0.05  # [s]
 
 
 class EventLog:
     """Log of events: one is a fracture node from its first slipping (or open) section to none.
 
-    path          the CSV file, rewritten as a whole when an event starts or ends. Where that takes long, it may be behind:
+    path          the CSV file, rewritten as a whole when an event starts or ends. Once that has taken long, it may be behind:
                   ``SHARE`` times as long lie between; after the last step it has all
     nodes         static table of the n fracture nodes
     plastic_slip  (n, dim-1) before the first update; zero if not given [length]
@@ -86,7 +86,7 @@ class EventLog:
         self.nodes = nodes
         self.rows: list[dict[str, Any]] = []
         self._lines: dict[int, str] = {}  # of rows that have ended, which stay as they are
-        self._rest = self._written = 0.0
+        self._spent = self._rest = self._written = 0.0
         self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
         count = len(nodes.node)
         self._running = {kind: _Running(np.full(count, -1), np.zeros(self._shape), np.zeros(count)) for kind in _KINDS}
@@ -208,7 +208,8 @@ class EventLog:
         write_atomic(self.path, text.getvalue())
         self._written = time_of_process()
         spent = self._written - began
-        self._rest = SHARE * spent if spent > LONG else 0.0
+        self._spent += spent
+        self._rest = SHARE * spent if self._spent > LONG else 0.0
 
 
 def columns_of(tangents: int) -> tuple[str, ...]:

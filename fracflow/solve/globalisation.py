@@ -37,17 +37,23 @@ class StatusHistory:
     def begin(self) -> None:
         """Drop all statuses seen."""
         self._seen: list[Statuses] = []
+        self._bytes: list[bytes] = []
         self.changed, self.still, self.is_new = np.zeros((0, 2), dtype=bool), 0, True
 
     def see(self, statuses: Statuses) -> bool:
         """Whether all sections of all ranks had these statuses before, and others in between. Collective."""
-        same = np.array([np.array_equal(statuses, old) for old in self._seen], dtype=np.int32)
-        everywhere = np.zeros_like(same)
-        self.comm.Allreduce(same, everywhere, op=MPI.MIN)
+        now = statuses.tobytes()
+        same = np.array([now == old for old in self._bytes], dtype=np.int32)
+        everywhere = same.copy()
+        if self.comm.size > 1:
+            self.comm.Allreduce(same, everywhere, op=MPI.MIN)
         first = int(np.flatnonzero(everywhere)[-1]) if everywhere.any() else -1
         others = self._seen[first:]
-        self.changed = np.any([statuses != old for old in others], axis=0) if others else statuses != statuses
+        self.changed = statuses != statuses
+        for old in others:
+            self.changed |= statuses != old
         self._seen.append(statuses.copy())
+        self._bytes.append(now)
         self.is_new = not everywhere.any()
         self.still = self.still + 1 if everywhere.any() and everywhere[-1] else 0
         return bool(everywhere.any()) and not everywhere[-1]

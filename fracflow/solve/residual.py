@@ -63,8 +63,9 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
-    rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    return NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    sizes = np.abs(conduction.pressure) + np.abs(network.resting_end)
+    rounded = NOISE * UNIT_ROUND_OFF * conduction.conductance * (sizes[:, 0] + sizes[:, 1])
+    return np.stack([rounded, rounded], axis=1)
 
 
 def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
@@ -204,6 +205,8 @@ def largest_of(values: Floats) -> float:
 
 def over_ranks(here: list[float], comm: MPI.Comm) -> list[float]:
     """The largest of each number over all ranks. Collective."""
+    if comm.size == 1:
+        return [float(size) for size in here]
     sizes = np.array(here)
     comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
     return [float(size) for size in sizes]
@@ -233,7 +236,7 @@ def flow_sizes(conduction: Conduction, before: Floats | float, drive: float, sto
     storing  b_1, by which a compressible fluid is taken up
     """
     size = np.maximum(np.maximum(np.abs(conduction.pressure), CANCELLATION * before), LEAST_DRIVE * drive)
-    drop = np.ptp(conduction.pressure, axis=1, keepdims=True)
+    drop = np.abs(conduction.pressure[:, :1] - conduction.pressure[:, 1:])
     runs = conduction.conductance[:, None] * np.maximum(drop, CANCELLATION * size)
     through: Floats = conduction.conductance[:, None] * size
     if (stored := conduction.compression) is not None:

@@ -1,6 +1,6 @@
 """CPU before the first step, beside that of the packages that a run cannot do without.
 
-    scripts/bench startup [--pairs N] [--most RATIO] [--modules] [--run-only]
+    scripts/bench startup [--pairs N] [--most RATIO] [--modules] [--run-only] [--parts]
 
 The base is a Python that imports NumPy, mpi4py, petsc4py and h5py, and ends. In each pair it takes turns with
 ``fracflow run``, up to the record of its initial state: of a scene with a mesh file, and of one whose traces are meshed. Then
@@ -11,6 +11,8 @@ Exit 1 where the ratio of the first run is above --most.
 
     --modules   lists what has been imported at the first step, by package
     --run-only  leaves out all but the base and the first run
+    --parts     shares of the first run: the base, other packages that it imports, modules of fracflow, and its work, which is
+                what it takes once all is imported; besides, how much would be left if modules of fracflow took no time
 """
 
 from __future__ import annotations
@@ -39,6 +41,16 @@ app.main()
 """
 WHOLE = "import atexit; atexit.register(shown)\nfrom fracflow.cli.app import main\nmain()"
 WITH_OTHERS = WHOLE.replace("(shown)", "(shown, True)")
+IMPORTED = """
+import gc, importlib, os, sys
+gc.disable()  # as the program does
+for name in sys.argv[1].split():
+    try:
+        importlib.import_module(name)
+    except ImportError:  # made by the package that it belongs to
+        pass
+os._exit(shown())
+"""
 SHOWN = """
 import os, sys
 def shown(with_others=False):
@@ -64,6 +76,30 @@ def cpu(code: str, words: list[str], kept: str) -> tuple[float, list[str]]:
     return float(time), modules
 
 
+def least(ways: dict[str, tuple[str, list[str]]], pairs: int, kept: str) -> dict[str, float]:
+    """CPU [s] of each way, the least of so many times in turns."""
+    found = [[cpu(*way, kept)[0] for way in ways.values()] for _ in range(pairs)]
+    return {name: min(each) for name, each in zip(ways, zip(*found, strict=True), strict=True)}
+
+
+def print_parts(modules: list[str], pairs: int, kept: str) -> None:
+    """Where the CPU of the first run goes, in parts that add up; ``modules`` it has imported by its first step."""
+    others = [name for name in modules if name.partition(".")[0] != "fracflow" and name != "__main__"]
+    ours = ["fracflow._petsc", *(name for name in modules if name.partition(".")[0] == "fracflow")]
+    ways = {
+        "base": (BASE, []),
+        "other packages": (IMPORTED, [" ".join(["fracflow._petsc", *others])]),
+        "modules of fracflow": (IMPORTED, [" ".join([*others, *ours])]),
+        "work": (RUN, ["run", str(SCENE), "-o", "run"]),
+    }
+    times, before = least(ways, pairs, kept), 0.0
+    for name, until in times.items():
+        print(f"  {name:22s} {until - before:6.3f} s {(until - before) / times['base']:6.2f}")
+        before = until
+    bound = times["work"] - times["modules of fracflow"] + times["other packages"]
+    print(f"  {len(ours) - 1} modules; without any of their time {bound / times['base']:.2f}")
+
+
 def main() -> None:
     """Measure, print and judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -71,6 +107,7 @@ def main() -> None:
     parser.add_argument("--most", type=float, default=1.5)
     parser.add_argument("--modules", action="store_true")
     parser.add_argument("--run-only", action="store_true")
+    parser.add_argument("--parts", action="store_true")
     given = parser.parse_args()
     ways = {"base": (BASE, []), FIRST: (RUN, ["run", str(SCENE), "-o", "run"])}
     if not given.run_only:
@@ -86,9 +123,9 @@ def main() -> None:
         }
     with tempfile.TemporaryDirectory() as kept:
         found = {name: cpu(*way, kept)[1] for name, way in ways.items()}  # which compiles
-        times = {name: min(each) for name, each in zip(ways, zip(*(  # one way after another
-            [cpu(*way, kept)[0] for way in ways.values()] for _ in range(given.pairs)
-        ), strict=True), strict=True)}  # fmt: skip
+        times = least(ways, given.pairs, kept)
+        if given.parts:
+            print_parts(found[FIRST], given.pairs, kept)
     for name, seconds in times.items():
         print(f"{name:24s} {seconds:6.3f} s {seconds / times['base']:6.2f}")
     if given.modules:

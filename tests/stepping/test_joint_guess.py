@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.laws import HyperbolicCoulomb, LawStep, Linear, SlipWeakening
+from fracflow.laws import HyperbolicCoulomb, LawStep, Linear, SlipWeakening, compiled
 from fracflow.model.joints import Joints, LawGroup
 from fracflow.solve.clusters import Batch, Clusters, Exchange
-from fracflow.solve.leapfrog import guess
 from fracflow.solve.leapfrog.compiled import library
 from fracflow.solve.leapfrog.guess import joint_guess
 from fracflow.solve.leapfrog.joints import JointSolver
@@ -115,9 +114,9 @@ def test_columns_in_c_are_those_handed_to_it():
         "dynamic_friction_coefficient": "DYNAMIC", "slip_weakening_distance": "DISTANCE", "stick_slip_ratio": "RATIO",
         "strength_when_open": "OPEN_STRENGTH",
     }  # fmt: skip
-    text = Path(guess.__file__).with_name("joints.c").read_text(encoding="utf-8")
+    text = Path(compiled.__file__).with_name("friction.h").read_text(encoding="utf-8")
     columns = re.search(r"enum \{ (KIND.*?), LAW \};", text)
-    assert columns and columns[1].split(", ") == ["KIND", "WEIGHT", *(given[name] for name in guess.PARAMETERS)]
+    assert columns and columns[1].split(", ") == ["KIND", "WEIGHT", *(given[name] for name in compiled.PARAMETERS)]
 
 
 def test_the_guess_knows_the_round_off_of_joints_almost_closed():

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow.laws import JointLaw
-from fracflow.laws.base import per_section
+from fracflow.laws.compiled import PARAMETERS, number_of, table
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Joints
 from fracflow.model.operators import Operators
@@ -21,12 +20,6 @@ from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.newton import MOST_CHANGES
 
 MOST_MEMBERS = 8  # sections of a cluster, as in joints.c
-PARAMETERS = {
-    "normal_stiffness": 1.0, "shear_stiffness": 1.0, "aperture": 1.0, "initial_normal_traction": 0.0,
-    "initial_shear_traction": 0.0, "cohesion": 0.0, "friction_coefficient": 0.0, "dynamic_friction_coefficient": 0.0,
-    "slip_weakening_distance": 1.0, "stick_slip_ratio": 1.0, "strength_when_open": 0.0,
-}  # fmt: skip
-"""Columns of a law behind its number and the weight of its section, and their values where the law has none of that name."""
 
 
 class Trial(NamedTuple):
@@ -86,25 +79,15 @@ class JointGuess:
 def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:
     """The guess for a scene; None where loops are not compiled, or have no copy of its laws. Collective."""
     joints, comm = operators.joints, operators.layout.comm
-    has_laws = joints.dim == 2 and all(_copy_of(group.law) is not None for group in joints.laws)
+    has_laws = joints.dim == 2 and all(number_of(group.law) is not None for group in joints.laws)
     is_small = all(each.sections.shape[1] <= MOST_MEMBERS for each in clusters.batches)
     lacks = comm.allreduce(int(library() is None or not has_laws or not is_small))
     return None if lacks else JointGuess(operators, clusters, most)
 
 
-def _copy_of(law: JointLaw) -> int | None:
-    """The number of the copy that a law has by itself, not by what it inherits."""
-    found: int | None = vars(type(law)).get("compiled")
-    return found
-
-
 def _rows(joints: Joints) -> Floats:
     """Number of the law, weight and parameters (s, 13) of this rank's sections."""
     rows = np.zeros((len(joints.weights), 2 + len(PARAMETERS)))
-    rows[:, 1] = joints.weights
     for group in joints.laws:
-        count = len(group.sections)
-        rows[group.sections, 0] = _copy_of(group.law)
-        for column, (name, none) in enumerate(PARAMETERS.items(), start=2):
-            rows[group.sections, column] = per_section(np.ravel(getattr(group.law, name, none)), count)
+        rows[group.sections] = table(group.law, joints.weights[group.sections])
     return rows

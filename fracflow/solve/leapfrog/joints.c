@@ -1,29 +1,22 @@
 /* The motion of joints in an explicit step, cluster by cluster, as ``joints.py`` has it for all at once, in the plane.
 
-   A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Laws here are a copy of ``closure.py``, ``friction.py``,
-   ``hyperbolic_coulomb.py``, ``slip_weakening.py`` and ``linear.py`` as far as tractions and statuses go, by columns of LAW. */
-#include <math.h>
+   A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Friction is that of ``laws/friction.h``, a linear law
+   as in ``linear.py``. */
+#include "../../laws/friction.h"
 #include <stdint.h>
 #include <string.h>
 
 #define MOST_MEMBERS 8
 #define MOST_SIZE (2 * MOST_MEMBERS)
 #define UNIT 2.220446049250313e-16
-#define SLACK 1e-12 /* ``friction.ONSET_ROUND_OFF`` */
-#define LEFT 1e-14  /* of the motion of the cluster */
+#define LEFT 1e-14 /* of the motion of the cluster */
 
-/* columns of a section's law, of what it was before the step with its free motion, and of what it is after it */
-enum { KIND, WEIGHT, K_N, K_S, GAP, F_N, F_S, COHESION, PEAK, DYNAMIC, DISTANCE, RATIO, OPEN_STRENGTH, LAW };
+/* columns of what a section was before the step with its free motion, and of what it is after it */
 enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE };
-enum { LINEAR, COULOMB, WEAKENING };
 
 typedef struct {
   double traction[2], tangent[4], status;
 } response;
-
-static inline double friction_at(const double *law, double path) {
-  return path < law[DISTANCE] ? law[PEAK] - (law[PEAK] - law[DYNAMIC]) / law[DISTANCE] * path : law[DYNAMIC];
-}
 
 /* The response at a strain; ``status`` is the direction of sliding, 0 while it sticks, and stays where it is held; tractions are
    those of statuses held. 0 where crushed. */
@@ -35,42 +28,14 @@ static int responds(const double *law, const double *before, const double *strai
     d[0] = law[K_S], d[3] = law[K_N];
     return 1;
   }
-  const double k_s = law[K_S], edge = -law[F_N] / law[K_N], gap = law[GAP];
-  if (!(strain[1] > -gap)) return 0;
-  const int is_open = strain[1] > edge, is_free = is_open && !(law[OPEN_STRENGTH] > 0.0);
-  const double opening = is_open ? edge : strain[1], squeeze = 1.0 + fmin(opening, 0.0) / gap;
-  const double f_n = is_open ? 0.0 : fmin(law[F_N] + law[K_N] * opening / squeeze, 0.0);
-  const double k_n = is_open ? 0.0 : law[K_N] / (squeeze * squeeze);
-  const double shear = law[F_S] + k_s * (strain[0] - before[PLASTIC]), size = fabs(shear), along = shear * status;
-  const int slid = status != 0.0, weakens = law[KIND] == WEAKENING;
-  const double path = before[PATH], mu = weakens ? friction_at(law, path) : law[PEAK];
-  const double onset = is_free ? 0.0 : law[COHESION] - f_n * mu, kept = law[RATIO] * onset;
-  const double slack = SLACK * ((isfinite(onset) ? onset : 0.0) + k_s * fabs(strain[0]));
-  int slides = slid;
-  if (!is_held) slides = slid ? along >= kept - slack : size >= onset - slack && size > 0.0;
-  slides = slides && !is_free;
-  f[0] = is_free ? 0.0 : shear, f[1] = f_n;
-  d[0] = is_free ? 0.0 : k_s, d[3] = k_n;
-  if (!slides) {
-    found->status = 0.0;
-    return 1;
-  }
-  const int is_back = slid && along <= 0.0;
-  const double way = size > 0.0 && !is_back ? (shear > 0.0 ? 1.0 : -1.0) : status;
-  double carried = kept, by_size = 0.0, by_normal = -law[RATIO] * law[PEAK];
-  if (weakens) {
-    const double excess = is_back ? 0.0 : fmax(size - onset, 0.0);
-    const double falls = path < law[DISTANCE] ? (law[PEAK] - law[DYNAMIC]) / law[DISTANCE] : 0.0, stiff = k_s + f_n * falls;
-    const double slip = !(excess > 0.0) ? 0.0 : stiff > 0.0 ? excess / stiff : INFINITY; /* past D_c, as it would be without */
-    const double share = slip > 0.0 && falls > 0.0 && path + slip < law[DISTANCE] ? k_s / stiff : 1.0;
-    const double now = friction_at(law, path + slip);
-    if (slip > 0.0) carried = law[COHESION] - f_n * now;
-    by_size = 1.0 - share, by_normal = -now * share;
-  }
-  f[0] = carried * way;
-  d[0] = by_size * k_s;
-  d[1] = f_n < 0.0 ? by_normal * k_n * way : 0.0;
-  found->status = way;
+  if (!(strain[1] > -law[GAP])) return 0;
+  const past was = {before[PLASTIC], status, before[PATH]};
+  friction at;
+  rub(law, &was, strain, is_held, &at);
+  f[0] = at.slides ? at.carried * at.way : at.is_free ? 0.0 : at.shear, f[1] = at.f_n;
+  d[0] = at.slides ? at.by_size * law[K_S] : at.is_free ? 0.0 : law[K_S], d[3] = at.k_n;
+  if (at.slides && at.f_n < 0.0) d[1] = at.by_normal * at.k_n * at.way;
+  found->status = at.slides ? at.way : 0.0;
   return 1;
 }
 
