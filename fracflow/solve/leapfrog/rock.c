@@ -171,32 +171,34 @@ FOR_MACHINES void fracflow_start(int32_t n, double half, double step, const doub
   }
 }
 
-/* Sums of m v v, m a a and s u, and the largest |m a|, with m of each unknown. */
+/* Sums of m v v, m a a and s u, and the largest |m a| and |u|, with m of each unknown. */
 FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
                                 double *sums) {
-  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0;
+  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0, farthest = 0.0;
   for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
-    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
+    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
     moving += mass[i] * v[i] * v[i];
     pushed += force * a[i];
     work += s[i] * u[i];
     largest = size > largest ? size : largest;
+    farthest = far > farthest ? far : farthest;
   }
-  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest;
+  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest, sums[4] = farthest;
 }
 
 /* a = f/m where forces alone move a node; those sums; and u, v, a of each node to its place in another order. */
 FOR_MACHINES void fracflow_stop(int32_t n, const int32_t *place, const double *inverse, const double *f, const double *mass, const double *s,
                                 const double *u, const double *v, double *a, double *to_u, double *to_v, double *to_a, double *sums) {
-  double found[4] = {0.0, 0.0, 0.0, 0.0};
+  double found[5] = {0.0, 0.0, 0.0, 0.0, 0.0};
   for (int64_t k = 0; k < n; k++)
     for (int64_t i = 2 * k, j = 2 * (int64_t)place[k]; i < 2 * k + 2; i++, j++) {
       if (inverse[k] > 0.0) a[i] = inverse[k] * f[i];
-      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
+      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
       found[0] += mass[i] * v[i] * v[i];
       found[1] += force * a[i];
       found[2] += s[i] * u[i];
       found[3] = size > found[3] ? size : found[3];
+      found[4] = far > found[4] ? far : found[4];
       to_u[j] = u[i], to_v[j] = v[i], to_a[j] = a[i];
     }
   memcpy(sums, found, sizeof found);

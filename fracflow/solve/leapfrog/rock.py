@@ -25,12 +25,13 @@ RANGE = 128  # nodes that move at once: their values stay in the fastest memory 
 
 
 class Sums(NamedTuple):
-    """Sums of m v^2, of m a^2, and of displacements times given values; the largest |m a|. Masses are the diagonal ones."""
+    """Sums of m v^2, of m a^2, and of u times given values; the largest |m a| and |u|. Masses m are the diagonal ones."""
 
     moving: float
     pushed: float
     work: float
     inertia: float
+    displacement: float
 
 
 class Rock(Protocol):
@@ -191,14 +192,14 @@ class Cells:
 
     def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
         """Set a = f/m where forces alone move a node, and write u, v and a into vectors; the sums, of ``values`` (n,)."""
-        found, there = np.zeros(4), [each.getArray() for each in vectors]
+        found, there = np.zeros(5), [each.getArray() for each in vectors]
         known = self._order, self._w, self.f, self._mass, values, self.u, self.v, self.a
         self._loops.fracflow_stop(self.owned, *map(address, (*known, *there, found)))
         return Sums(*found.tolist())
 
     def sums(self, values: Floats) -> Sums:
         """This rank's, with ``values`` (n,) in the order of u."""
-        found = np.zeros(4)
+        found = np.zeros(5)
         self._loops.fracflow_sums(self.owned, *map(address, (self._mass, self.v, self.a, values, self.u, found)))
         return Sums(*found.tolist())
 
@@ -290,6 +291,7 @@ class AssembledRock:
             float(force @ self.a),
             float(values @ self.u),
             float(np.abs(force).max(initial=0.0)),
+            float(np.abs(self.u).max(initial=0.0)),
         )
 
     def step(self, kick: float, drift: float) -> None:
