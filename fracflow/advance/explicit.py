@@ -158,7 +158,7 @@ class ExplicitSubsteps:
             if flow is not None:
                 return flow.check(new)
             sums = self.explicit.leapfrog.run.sums
-            found = significant_digits(model.operators, new, None if sums is None else sums.inertia)
+            found = significant_digits(model.operators, new, None if sums is None else sums.largest)
             refuse_few(found, model.scene.accuracy.digits, new.time)
             return found.digits
         except BaseException:

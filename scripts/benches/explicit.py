@@ -1,5 +1,7 @@
 """Explicit steps against memory and arithmetic: explicit.py [UNKNOWNS...] [--cells triangles quads] [--ranks N] [--out DIR].
 
+With --rupture SIDE instead all of meshes/rupture on squares of that side: CPU seconds between its first state and its last.
+
 A rupture of a fault between four absorbing sides, in rock of so many unknowns. Counted are CPU seconds of a rank between the
 first and the last state on record, so that joints, sides, energies and history are in them; a state is on record every
 --parts steps. Beside it stand, from the same process: the sweep through the rock alone; how fast it could be by its bytes and
@@ -24,6 +26,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from size import machine
 
+RUPTURE = Path(__file__).parents[2] / "meshes" / "rupture"
 UNKNOWNS, CELLS = (1e5, 4e5, 1e6), ("triangles", "quads")
 AREA = 40e3 * 24e3  # of the scene [m^2]
 CACHED = 1e4  # unknowns whose values stay in the fastest memory
@@ -128,6 +131,32 @@ def whole(data: dict[str, Any], step: float, parts: int, states: int, folder: Pa
     return spent / ((len(marks) - FIRST) * parts)
 
 
+def rupture(side: float, given: list[str], folder: Path) -> dict[str, Any]:
+    """CPU seconds a rank of all steps of meshes/rupture, with what they put on record; ``given`` are KEY=VALUE of the scene."""
+    from fracflow._petsc import MPI
+    from fracflow.scene.scene import load
+    from fracflow.simulation.run import run
+
+    comm, marks, scene = MPI.COMM_WORLD, list[float](), folder / "scene"
+    if comm.rank == 0:
+        scene.mkdir(parents=True, exist_ok=True)
+        for name in ("fault.geo", "scene.toml"):
+            text = (RUPTURE / name).read_text(encoding="utf-8")
+            (scene / name).write_text(text.replace("h = 100;", f"h = {side:g};"), encoding="utf-8")
+    comm.barrier()
+    asked = load(scene / "scene.toml", ["method.stepper=explicit", "output.pictures=false", *given])
+    run(asked, folder / "run", comm, progress=lambda step: marks.append(time.process_time()))
+    spent = comm.allreduce(marks[-1] - marks[0]) / comm.size
+    steps = len(marks) - 1
+    return {
+        "side_m": side,
+        "ranks": comm.size,
+        "states": steps,
+        "CPU_s": round(spent, 2),
+        "state_ms": round(1e3 * spent / steps, 3),
+    }
+
+
 def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
     """All numbers of one rock."""
     from fracflow._petsc import MPI
@@ -163,6 +192,8 @@ def main() -> None:
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=CELLS)
     parser.add_argument("--parts", type=int, default=10, help="steps from state to state on record")
     parser.add_argument("--states", type=int, default=8)
+    parser.add_argument("--rupture", type=float, help="side of squares along the fault of meshes/rupture [m]")
+    parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of that scene")
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/bench/explicit"))
     given = parser.parse_args()
@@ -177,7 +208,11 @@ def main() -> None:
     folder = given.out.resolve() / str(comm.size)
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    for cells in given.cells:
+    if given.rupture:
+        rows.append(rupture(given.rupture, given.set, folder))
+        if comm.rank == 0:
+            print(json.dumps(rows[-1]), flush=True)
+    for cells in () if given.rupture else given.cells:
         for unknowns in given.unknowns:
             rows.append(measure(unknowns, cells, given.parts, max(given.states, FIRST + 1), folder / "run"))
             slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)

@@ -78,11 +78,14 @@ SIZES = {"acceleration": 100.0, "opening": 1e-3, "slip_rate": 1.0, "velocity": 1
 
 
 def write_mesh(path):
-    """Squares of 50 m below the fault, triangles above, all but those on lines of the scene out of their places."""
+    """Quadrilaterals of 50 m below the fault, triangles above; the lowest are parallelograms, of two rocks."""
     across, up, side = 40, 20, 50.0
     x, y = (each.ravel() for each in np.meshgrid(np.arange(across + 1) * side, np.arange(up + 1) * side))
     is_free = (x > 0) & (x < side * across) & (y > 0) & (y < side * up) & (y != 500.0)
-    shift = 0.15 * side * np.random.default_rng(1).uniform(-1.0, 1.0, (2, len(x))) * is_free
+    shift = 0.15 * side * np.random.default_rng(1).uniform(-1.0, 1.0, (2, len(x)))
+    low = y < 350.0
+    shift[:, low] = 0.2 * (np.stack([y, x])[:, low] % (2.0 * side))
+    shift *= is_free
 
     def at(i, j):
         return j * (across + 1) + i + 1
@@ -91,7 +94,8 @@ def write_mesh(path):
     for j in range(up):
         for i in range(across):
             a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
-            cells += [(3, 1, (a, b, c, d))] if j < up // 2 else [(2, 2, (a, b, c)), (2, 2, (a, c, d))]
+            rock = 2 if j < 6 and i % 5 == 1 else 1
+            cells += [(3, rock, (a, b, c, d))] if j < up // 2 else [(2, 2, (a, b, c)), (2, 2, (a, c, d))]
     cells += [(1, 3, (at(i, 10), at(i + 1, 10))) for i in range(12, 28)]
     for number, row in ((4, 0), (5, up)):
         cells += [(1, number, (at(i, row), at(i + 1, row))) for i in range(across)]

@@ -40,6 +40,7 @@ class Nodes:
     """Local numbers of unknowns, ``own`` and the like. Their places are in ``every``, which lists all.
 
     own     those of nodes with supports or dashpots, and of rigid bodies, whose accelerations are found apart from the rest
+    no_support  zeros, where no rank holds an unknown; else None. PETSc keeps their norm
     groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
     mass    (n,) diagonal, of all local unknowns; ``inverse`` of those in ``every``, 0 where held and on bodies
     bodies  (b, r) places in ``every`` of the unknowns of rigid bodies; their inverse masses (b, r, r), 0 where held
@@ -58,6 +59,8 @@ class Nodes:
         if len(springs) > 1:
             destroy(whole)
         self.held = loads.held
+        is_free = not operators.layout.comm.allreduce(len(self.held))
+        self.no_support = operators.layout.solid_vector() if is_free else None
         bodies = bodies_of(operators)
         is_held, is_own, self.on_body = (np.zeros(len(self.mass), dtype=bool) for _ in range(3))
         is_held[self.held] = is_own[self.held] = self.on_body[bodies] = is_own[bodies] = True
@@ -147,7 +150,7 @@ class Nodes:
 
     def destroy(self) -> None:
         """Free matrices. Collective."""
-        destroy(self.rock, self.jump, self.sizes, *self.damping.values(), *self.springs.values())
+        destroy(self.no_support, self.rock, self.jump, self.sizes, *self.damping.values(), *self.springs.values())
 
 
 def _inverted(matrix: Floats, free: Bools) -> Floats:

@@ -13,7 +13,7 @@
 #endif
 #define INLINE static inline __attribute__((always_inline))
 
-const int fracflow_leapfrog_version = 2;
+const int fracflow_leapfrog_version = 3;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));
@@ -63,6 +63,54 @@ INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x,
   TO(l) += (fa - fb) + fc;
 }
 
+/* Four parallelograms side by side, of which the last are none where count is less. Slopes of a field are (p_1 + p_3 eta)/4 and
+   (p_2 + p_3 xi)/4 here too, but the Jacobian is the same everywhere: the four places of quadrature add up to four times the
+   middle, and to a third of that for what goes with eta and with xi. */
+INLINE void parallelograms(const int32_t *cells, const uint16_t *rock, int count, const double *moduli, const double *x,
+                           const double *u, double *f, four *twice) {
+  int64_t at[4][4];
+  four px[4], py[4], qx[4], qy[4];
+  const double *of[4];
+  for (int n = 0; n < 4; n++) {
+    const int k = n < count ? n : 0;
+    of[n] = moduli + 3 * (int64_t)rock[k];
+    for (int c = 0; c < 4; c++) at[c][n] = 2 * (int64_t)cells[4 * k + c];
+  }
+  const four d[3] = {{of[0][0], of[1][0], of[2][0], of[3][0]}, {of[0][1], of[1][1], of[2][1], of[3][1]},
+                     {of[0][2], of[1][2], of[2][2], of[3][2]}};
+  const four used = {1.0, count > 1 ? 1.0 : 0.0, count > 2 ? 1.0 : 0.0, count > 3 ? 1.0 : 0.0};
+#define SIDE_BY_SIDE(p, c, to_x, to_y) { \
+    const two p0 = AT(p, at[c][0]), p1 = AT(p, at[c][1]), p2 = AT(p, at[c][2]), p3 = AT(p, at[c][3]); \
+    to_x = (four){p0[0], p1[0], p2[0], p3[0]}, to_y = (four){p0[1], p1[1], p2[1], p3[1]}; }
+  for (int c = 0; c < 4; c++) {
+    SIDE_BY_SIDE(x, c, px[c], py[c])
+    SIDE_BY_SIDE(u, c, qx[c], qy[c])
+  }
+#define ALONG(p) ((p[2] - p[0]) - (p[3] - p[1]))
+#define ACROSS(p) ((p[2] - p[0]) + (p[3] - p[1]))
+#define TWIST(p) ((p[0] - p[1]) + (p[2] - p[3]))
+  const four xa = ALONG(px), ya = ALONG(py), xb = ACROSS(px), yb = ACROSS(py);
+  const four ua = ALONG(qx), va = ALONG(qy), ub = ACROSS(qx), vb = ACROSS(qy), uc = TWIST(qx), vc = TWIST(qy);
+  const four w = 0.25 / (xa * yb - xb * ya), third = w * (1.0 / 3.0);
+  const four xx = ua * yb - ub * ya, yy = xa * vb - xb * va, xy = (xa * ub - xb * ua) + (va * yb - vb * ya);
+  const four s = w * (d[0] * xx + d[1] * yy), t = w * (d[1] * xx + d[0] * yy), h = w * d[2] * xy;
+  const four ax = s * yb - h * xb, ay = h * yb - t * xb, bx = h * xa - s * ya, by = t * xa - h * ya;
+  const four exx = uc * yb, eyy = -xb * vc, exy = vc * yb - xb * uc; /* with eta */
+  const four es = third * (d[0] * exx + d[1] * eyy), et = third * (d[1] * exx + d[0] * eyy), eh = third * d[2] * exy;
+  const four gxx = -uc * ya, gyy = xa * vc, gxy = xa * uc - vc * ya; /* with xi */
+  const four gs = third * (d[0] * gxx + d[1] * gyy), gt = third * (d[1] * gxx + d[0] * gyy), gh = third * d[2] * gxy;
+  const four cx = (es * yb - eh * xb) + (gh * xa - gs * ya), cy = (eh * yb - et * xb) + (gt * xa - gh * ya);
+  *twice += used * ((s * xx + t * yy + h * xy) + (es * exx + et * eyy + eh * exy) + (gs * gxx + gt * gyy + gh * gxy));
+  const four ix = (ax + bx) - cx, iy = (ay + by) - cy, jx = cx - (ax - bx), jy = cy - (ay - by);
+  const four kx = -(ax + bx) - cx, ky = -(ay + by) - cy, lx = (ax - bx) + cx, ly = (ay - by) + cy;
+  for (int n = 0; n < 4 && n < count; n++) {
+    TO(at[0][n]) += (two){ix[n], iy[n]};
+    TO(at[1][n]) += (two){jx[n], jy[n]};
+    TO(at[2][n]) += (two){kx[n], ky[n]};
+    TO(at[3][n]) += (two){lx[n], ly[n]};
+  }
+}
+
 /* Nodes from first to last: v += kick f/m, u += drift v. */
 INLINE void moved(int64_t first, int64_t last, const double *inverse, double kick, double drift, double *u, double *v, const double *f) {
   for (int64_t i = first; i < last; i++) {
@@ -74,11 +122,12 @@ INLINE void moved(int64_t first, int64_t last, const double *inverse, double kic
 
 /* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of range
    r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
-   do not move here. Nodes before begun have their e. */
+   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. */
 FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                                   const int32_t *of_four, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four,
-                                   const double *moduli, const double *x, const double *inverse, const double *e, double kick,
-                                   double drift, double *u, double *v, double *f) {
+                                   const int32_t *of_four, const int32_t *oblique, const int32_t *triangles, const int32_t *quads,
+                                   const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
+                                   const double *inverse, const double *e, double kick, double drift, double *u, double *v,
+                                   double *f) {
   double twice = 0.0;
   four others = {0.0, 0.0, 0.0, 0.0};
   for (int32_t r = 0; r < ranges; r++) {
@@ -88,7 +137,11 @@ FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t 
     }
     for (int64_t k = of_three[r]; k < of_three[r + 1]; k++)
       twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
-    for (int64_t k = of_four[r]; k < of_four[r + 1]; k++)
+    int64_t next = of_four[r];
+    for (; next + 4 <= oblique[r]; next += 4) parallelograms(quads + 4 * next, rock_four + next, 4, moduli, x, u, f, &others);
+    if (next < oblique[r])
+      parallelograms(quads + 4 * next, rock_four + next, oblique[r] - (int)next, moduli, x, u, f, &others);
+    for (int64_t k = oblique[r]; k < of_four[r + 1]; k++)
       quadrilateral(quads + 4 * k, moduli + 3 * (int64_t)rock_four[k], x, u, f, &others);
     moved(node[r], node[r + 1], inverse, kick, drift, u, v, f);
   }
@@ -118,32 +171,34 @@ FOR_MACHINES void fracflow_start(int32_t n, double half, double step, const doub
   }
 }
 
-/* Sums of m v v, m a a and s u, and the largest |m a|, with m of each unknown. */
+/* Sums of m v v, m a a and s u, and the largest |m a| and |u|, with m of each unknown. */
 FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
                                 double *sums) {
-  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0;
+  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0, farthest = 0.0;
   for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
-    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
+    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
     moving += mass[i] * v[i] * v[i];
     pushed += force * a[i];
     work += s[i] * u[i];
     largest = size > largest ? size : largest;
+    farthest = far > farthest ? far : farthest;
   }
-  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest;
+  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest, sums[4] = farthest;
 }
 
 /* a = f/m where forces alone move a node; those sums; and u, v, a of each node to its place in another order. */
 FOR_MACHINES void fracflow_stop(int32_t n, const int32_t *place, const double *inverse, const double *f, const double *mass, const double *s,
                                 const double *u, const double *v, double *a, double *to_u, double *to_v, double *to_a, double *sums) {
-  double found[4] = {0.0, 0.0, 0.0, 0.0};
+  double found[5] = {0.0, 0.0, 0.0, 0.0, 0.0};
   for (int64_t k = 0; k < n; k++)
     for (int64_t i = 2 * k, j = 2 * (int64_t)place[k]; i < 2 * k + 2; i++, j++) {
       if (inverse[k] > 0.0) a[i] = inverse[k] * f[i];
-      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force;
+      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
       found[0] += mass[i] * v[i] * v[i];
       found[1] += force * a[i];
       found[2] += s[i] * u[i];
       found[3] = size > found[3] ? size : found[3];
+      found[4] = far > found[4] ? far : found[4];
       to_u[j] = u[i], to_v[j] = v[i], to_a[j] = a[i];
     }
   memcpy(sums, found, sizeof found);

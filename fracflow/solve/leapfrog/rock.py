@@ -20,16 +20,18 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
 
+PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
 
 
 class Sums(NamedTuple):
-    """Sums of m v^2, of m a^2, and of displacements times given values; the largest |m a|. Masses are the diagonal ones."""
+    """Sums of m v^2, of m a^2, and of u times given values; the largest |m a| and |u|. Masses m are the diagonal ones."""
 
     moving: float
     pushed: float
     work: float
     inertia: float
+    displacement: float
 
 
 class Rock(Protocol):
@@ -116,23 +118,23 @@ class Cells:
         self._moduli, rock = np.ascontiguousarray(kinds), rock.ravel().astype(np.uint16)
         cells = np.where(cells >= 0, place[cells], -1)
         lowest = np.where(cells >= 0, cells, count).min(axis=1)
-        swept = ~beside & (lowest < self._early)
-        self._swept = self._sorted(cells, rock, lowest, swept)
-        self._rest = self._sorted(cells, rock, lowest, ~swept)
-        self._ranges(lowest)
+        swept, oblique = ~beside & (lowest < self._early), _oblique(self._x, cells)
+        self._swept = self._sorted(cells, rock, lowest, oblique, swept)
+        self._rest = self._sorted(cells, rock, lowest, oblique, ~swept)
+        self._ranges()
         self._share(blocks, place)
 
-    def _sorted(self, cells: Ints, rock: Ints, lowest: Ints, chosen: Bools) -> list[np.ndarray]:
-        """Triangles, quadrilaterals and their rocks, in the order of their lowest nodes."""
+    def _sorted(self, cells: Ints, rock: Ints, lowest: Ints, oblique: Bools, chosen: Bools) -> list[np.ndarray]:
+        """Triangles, quadrilaterals and their rocks, by ranges of their lowest nodes; parallelograms first in a range."""
         found: list[np.ndarray] = []
         for width in (3, 4):
             here = np.flatnonzero(chosen & ((cells >= 0).sum(axis=1) == width))
-            here = here[np.argsort(lowest[here], kind="stable")]
+            here = here[np.lexsort((lowest[here], oblique[here], lowest[here] // RANGE))]
             found += [np.ascontiguousarray(cells[here, :width], dtype=np.int32), np.ascontiguousarray(rock[here])]
         three, of_three, four, of_four = found
         return [three, four, of_three, of_four]
 
-    def _ranges(self, lowest: Ints) -> None:
+    def _ranges(self) -> None:
         node = np.append(np.arange(0, self._early, RANGE), self._early).astype(np.int32)
         top, starts = node[1:].copy(), []
         for cells in self._swept[:2]:
@@ -141,8 +143,10 @@ class Cells:
             top = np.maximum(top, highest[first[1:]])
             starts.append(first)
         top = np.minimum(np.maximum.accumulate(top), self._early).astype(np.int32)
-        self._middle = len(top) // 2
-        self._sweep = [node, top, *starts]
+        four = self._swept[1]
+        before = np.concatenate([[0], np.cumsum(~_oblique(self._x, four))])
+        oblique = starts[1][:-1] + np.diff(before[starts[1]])
+        self._sweep = [node, top, *starts, oblique.astype(np.int32)]
         self._starts = [address(each) for each in self._sweep]
 
     def _share(self, blocks: Blocks, place: Ints) -> None:
@@ -188,14 +192,14 @@ class Cells:
 
     def stop(self, vectors: Iterable[PETSc.Vec], values: Floats) -> Sums:
         """Set a = f/m where forces alone move a node, and write u, v and a into vectors; the sums, of ``values`` (n,)."""
-        found, there = np.zeros(4), [each.getArray() for each in vectors]
+        found, there = np.zeros(5), [each.getArray() for each in vectors]
         known = self._order, self._w, self.f, self._mass, values, self.u, self.v, self.a
         self._loops.fracflow_stop(self.owned, *map(address, (*known, *there, found)))
         return Sums(*found.tolist())
 
     def sums(self, values: Floats) -> Sums:
         """This rank's, with ``values`` (n,) in the order of u."""
-        found = np.zeros(4)
+        found = np.zeros(5)
         self._loops.fracflow_sums(self.owned, *map(address, (self._mass, self.v, self.a, values, self.u, found)))
         return Sums(*found.tolist())
 
@@ -232,6 +236,15 @@ class Cells:
         """Free the way between ranks. Collective."""
         if self._way is not None:
             destroy(*self._way[0], *self._way[1], self._way[2])
+
+
+def _oblique(points: Floats, cells: Ints) -> Bools:
+    """Which cells (m,) of places (n, 2) are quadrilaterals, but no parallelograms."""
+    found, here = np.zeros(len(cells), dtype=bool), np.flatnonzero(cells[:, 3] >= 0)
+    i, j, k, last = (points[cells[here, corner]] for corner in range(4))
+    across = np.abs(k - i).max(axis=1, initial=0.0) + np.abs(last - j).max(axis=1, initial=0.0)
+    found[here] = np.abs((i - j) + (k - last)).max(axis=1, initial=0.0) > PARALLEL * across
+    return found
 
 
 class AssembledRock:
@@ -278,6 +291,7 @@ class AssembledRock:
             float(force @ self.a),
             float(values @ self.u),
             float(np.abs(force).max(initial=0.0)),
+            float(np.abs(self.u).max(initial=0.0)),
         )
 
     def step(self, kick: float, drift: float) -> None:

@@ -26,7 +26,7 @@ from fracflow.solve.leapfrog.local import by_blocks
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.leapfrog.rock import Sums
 from fracflow.solve.request import StepRequest
-from fracflow.solve.residual import round_off_of_jumps
+from fracflow.solve.residual import Largest, round_off_of_jumps
 
 SAME = 1e-14  # of the largest load: a difference by the order of sums
 
@@ -78,7 +78,7 @@ class RockSums:
     strain    strain energy;  ``springs`` that of the K of terms
     moving    v M v;  ``pushed`` m a^2 where it is free, but for rigid bodies
     prestress, constant  work of the initial stress on displacements, and of loads where none changes
-    inertia   the largest force of inertia; None where masses are no diagonal, as those of rigid bodies
+    largest   displacement and force of inertia; None where masses are no diagonal, as those of rigid bodies
     """
 
     strain: float
@@ -87,7 +87,7 @@ class RockSums:
     pushed: float
     prestress: float
     constant: float
-    inertia: float | None
+    largest: Largest | None
 
 
 class Run:
@@ -171,7 +171,7 @@ class Run:
         for name, matrix in nodes.springs.items():
             u = rock.u[nodes.places[nodes.at_springs[name]]]
             springs[name] = 0.5 * float(u @ matrix.times(u))
-        moving, pushed, prestress, inertia = sums
+        moving, pushed, prestress, inertia, displacement = sums
         apart = nodes.is_held | nodes.on_body
         pushed -= float(nodes.mass[nodes.every[apart]] @ rock.a[nodes.places[apart]] ** 2)
         if len(nodes.bodies):
@@ -179,7 +179,7 @@ class Run:
             moving += float(speed @ (nodes.inertia(speed) - nodes.mass[nodes.own] * speed))
         constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
         ops = nodes.operators
-        largest = inertia if ops.expand is None and ops.inward is None else None
+        largest = Largest(displacement, inertia) if ops.expand is None and ops.inward is None else None
         return RockSums(rock.energy, springs, moving, pushed, prestress, constant, largest)
 
     def predict(self, time: float, controls: Mapping[str, float], around: Around) -> None:
@@ -354,7 +354,8 @@ class Run:
             load.getArray()[nodes.changing.numbers] = self.load
         of_terms = {name: at(nodes.own, values) for name, values in self.resisting.items()}
         of_terms |= {name: at(nodes.damping[name].numbers, values) for name, values in self.damped.items()}
-        support, anchor = at(nodes.held, self.support), None if old.anchor is None else copy(old.anchor)
+        support = at(nodes.held, self.support) if nodes.no_support is None else copy(nodes.no_support)
+        anchor = None if old.anchor is None else copy(old.anchor)
         forces = Forces(load, support, old.conduction.copy(), old.source.copy(), of_terms, self.powers, anchor)
         self.last = replace(
             state,
