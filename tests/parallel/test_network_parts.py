@@ -102,7 +102,12 @@ def clusters_of(model):
     return np.array(sorted(np.concatenate(comm.allgather(rows)).round(20).tolist()))
 
 
-def test_clusters_of_sections_are_those_of_one_rank(models):
-    cut, whole = map(clusters_of, models)
-    assert set(whole[:, 2]) == {1.0, 2.0}  # a tip, or two joints at a node
-    np.testing.assert_allclose(cut, whole, rtol=1e-12)
+def test_clusters_of_sections_are_those_of_one_rank():
+    """At a crossing a section couples with two of three others, which may all be of other ranks."""
+    scene = load(SCENE.parents[2] / "crossings" / "scene.toml")
+    mesh = on_root(COMM, lambda: read_split(scene))
+    whole = clusters_of(prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0)))
+    assert whole[:, 2].max() >= 4.0
+    for seed in range(2):  # the one cuts a crossing so on three ranks, the other on two
+        ranks = None if mesh is None else np.random.default_rng(seed).integers(COMM.size, size=len(mesh.cells))
+        np.testing.assert_allclose(clusters_of(prepare(scene, COMM, mesh, ranks)), whole, rtol=1e-12)
