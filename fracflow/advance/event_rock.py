@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import facet
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Ints
+from fracflow.mesh.shared import Shared
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import CHANGE_OF_ROCK
 from fracflow.model.layout import matrix_of
 from fracflow.model.operators import Operators
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.model.solid import nodal_force
 from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
 from fracflow.solve.initial_rates import with_diagonal
@@ -95,20 +96,16 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
 
 def _at_walls(old: Model, new: Model, vector: PETSc.Vec) -> PETSc.Vec:
     """Displacements of the walls of ``old`` as those of ``new``, none elsewhere, in a new vector. Collective."""
-    ops, moved = new.operators, old.operators.gathered(vector)
-
-    def work() -> tuple[Ints, Floats]:
-        assert old.mesh is not None and new.mesh is not None and moved is not None
-        there, here = (np.concatenate([m.joint_bottom, m.joint_top]).ravel() for m in (old.mesh, new.mesh))
-        nodes, first = np.unique(here, return_index=True)
-        return nodes, moved[there[first]]
-
-    nodes, values = ops.layout.comm.bcast(on_root(ops.layout.comm, work), root=0)
+    ops, before = new.operators, old.operators
+    there, here = (np.concatenate([o.blocks.joints.bottom, o.blocks.joints.top], axis=1) for o in (before, ops))
     block, result = ops.blocks.solid, ops.layout.solid_vector()
-    own = block.node_ids[: block.owned]
-    here = np.flatnonzero(np.isin(own, nodes))
-    start = result.getOwnershipRange()[0]
-    result.getArray()[block.unknown[here] - start] = values[np.searchsorted(nodes, own[here])]
+    values = np.full(block.points.shape, -np.inf)
+    values[here] = _of_joints(before, ops, before.at_nodes(vector)[there])
+    nodes = Shared(ops.layout.comm, block.owned, ops.blocks.sizes.nodes, block.node_global)
+    walls = np.stack([nodes.largest(each)[: block.owned] for each in values.T], axis=1)  # of other ranks' joints too
+    nodes.destroy()
+    own = np.flatnonzero(np.isfinite(walls).all(axis=1))
+    result.getArray()[block.unknown[own] - result.getOwnershipRange()[0]] = walls[own]
     return result
 
 
@@ -121,15 +118,9 @@ class _Rock:
         start, last = (int(block.unknown_starts[comm.rank + k]) for k in (0, 1))
         own = block.node_ids[: block.owned]
         copies = np.flatnonzero(own != block.origin[: block.owned])
-        wanted = np.unique(np.concatenate(comm.allgather(block.origin[copies])))
-        here = np.flatnonzero(np.isin(own, wanted))
-        parts = comm.allgather((own[here], block.unknown[here]))
-        ids, numbers = (np.concatenate(part) for part in zip(*parts, strict=True))
-        order = np.argsort(ids)
+        numbers = _by_ids(comm, ops.blocks.sizes.nodes, own, block.unknown[: block.owned], block.origin[copies])
         column = np.arange(start, last)
-        column[(block.unknown[copies] - start).ravel()] = numbers[order][
-            np.searchsorted(ids[order], block.origin[copies])
-        ].ravel()
+        column[(block.unknown[copies] - start).ravel()] = numbers.ravel()
         sizes = ops.stiffness.getSizes()
         self.walls = matrix_of(sizes, (np.arange(last - start + 1), column, np.ones(last - start)), comm)
         self.still = np.union1d(held, (block.unknown[copies] - start).ravel())
@@ -173,25 +164,32 @@ def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
     return float(np.sqrt(sums[0] / max(sums[1], 1e-300))), most
 
 
-def _by_ids(comm: MPI.Comm, ids: Ints, values: NDArray[Any], wanted: Ints) -> NDArray[Any]:
-    """Rows (n, ...) of the numbers wanted (n,), of rows (m, ...) that ranks have by their numbers (m,). Collective."""
-    parts = comm.allgather((ids, values))
-    known, rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-    order = np.argsort(known)
-    return np.asarray(rows[order][np.searchsorted(known[order], wanted)])
+def _by_ids(comm: MPI.Comm, total: int, ids: Ints, values: NDArray[Any], wanted: Ints) -> NDArray[Any]:
+    """Rows (n, ...) of the numbers wanted (n,), of rows (m, ...) that ranks have by their numbers (m,). Collective.
+
+    total  of the numbers; each is one rank's
+    """
+    kept = np.diff(np.linspace(0, total, comm.size + 1).astype(np.int64))[comm.rank]
+    shared, none = Shared(comm, int(kept), total, np.concatenate([ids, wanted])), np.zeros(len(wanted))
+    columns = values.reshape(len(ids), int(np.prod(values.shape[1:]))).T
+    found = [shared.summed(np.concatenate([each, none]))[len(ids) :] for each in columns]
+    shared.destroy()
+    return np.stack(found, axis=1).reshape(len(wanted), *values.shape[1:]).astype(values.dtype)
 
 
 def _moved_flow(old: Operators, new: Operators, vector: PETSc.Vec) -> PETSc.Vec:
     result = new.layout.flow_vector()
     if new.flow is not None:
         local = vector.getArray(readonly=True)
-        result.setArray(_by_ids(new.layout.comm, old.blocks.flow.ids, local, new.blocks.flow.ids))
+        ids, total = new.blocks.flow.ids, new.blocks.sizes.flow_nodes
+        result.setArray(_by_ids(new.layout.comm, total, old.blocks.flow.ids, local, ids))
     return result
 
 
 def _of_joints(old: Operators, new: Operators, values: NDArray[Any]) -> NDArray[Any]:
     """Rows (j, ...) of the joints that this rank has now. Collective."""
-    return _by_ids(new.layout.comm, old.blocks.joints.ids, values, new.blocks.joints.ids)
+    ids, total = new.blocks.joints.ids, new.blocks.sizes.joints
+    return _by_ids(new.layout.comm, total, old.blocks.joints.ids, values, ids)
 
 
 def _of_sections(old: Operators, new: Operators, values: NDArray[Any]) -> NDArray[Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -45,3 +47,27 @@ class Shared:
         """Free vectors and scatter. Collective."""
         for each in (self._scatter, self._all, self._here):
             each.destroy()
+
+
+def lowest_joined(comm: MPI.Comm, own: int, total: int, numbers: Ints, piece: Ints) -> Ints:
+    """The lowest number (k,) that each of ``numbers`` (k,) is joined with, on any rank. Collective.
+
+    own    numbers of ``total`` that this rank keeps
+    piece  (k,) what this rank joins: numbers of one piece are joined
+
+    Ranks take the lowest of each number that any has, until none finds a lower one. What crosses ranks so many times takes as
+    many rounds.
+    """
+
+    def lowest(values: Floats) -> Floats:
+        result = np.full(int(piece.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(result, piece, values)
+        return result[piece]
+
+    shared, now = Shared(comm, own, total, numbers), lowest(numbers.astype(float))
+    is_lower = True
+    while is_lower:
+        found, now = now, lowest(-shared.largest(-now))
+        is_lower = comm.allreduce(bool((now < found).any()), op=MPI.LOR)
+    shared.destroy()
+    return now.astype(np.int64)

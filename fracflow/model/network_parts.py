@@ -12,7 +12,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.graph import components
-from fracflow.mesh.shared import Shared
+from fracflow.mesh.shared import Shared, lowest_joined
 from fracflow.model.flow import Compression
 from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
@@ -120,11 +120,7 @@ class Parts:
     """
 
     def __init__(self, operators: Operators, conducts: Bools) -> None:
-        """Find the components that the conducting elements (j,) of each rank make. Collective.
-
-        Each rank joins what its elements join. It then takes the lowest number that any rank has for one of the nodes, until
-        no rank finds a lower one. A component that crosses ranks so many times takes as many rounds.
-        """
+        """Find the components that the conducting elements (j,) of each rank make. Collective."""
         self._operators, blocks, layout = operators, operators.blocks, operators.layout
         comm, first, total = layout.comm, int(layout.flow_starts[layout.comm.rank]), int(layout.flow_starts[-1])
         here = first + np.arange(layout.flow_count)
@@ -132,17 +128,8 @@ class Parts:
         self._numbers = np.unique(np.concatenate([here, blocks.joints.flow.ravel(), beside_walls]))
         links = np.searchsorted(self._numbers, blocks.joints.flow)
         tree = components(links[conducts, 0], links[conducts, 1], len(self._numbers))
-        label = self._numbers[np.unique(tree, return_index=True)[1]][tree].astype(float)
-        nodes = Shared(comm, layout.flow_count, total, self._numbers)
-        while True:
-            lowest = np.full(len(label), np.inf)
-            np.minimum.at(lowest, tree, -nodes.largest(-label))
-            now = lowest[tree]
-            if not comm.allreduce(bool((now < label).any()), op=MPI.LOR):
-                break
-            label = now
-        nodes.destroy()
-        self.roots, self._of = np.unique(label.astype(np.int64), return_inverse=True)
+        label = lowest_joined(comm, layout.flow_count, total, self._numbers, tree)
+        self.roots, self._of = np.unique(label, return_inverse=True)
         self.own, self.ends = self._of[np.searchsorted(self._numbers, here)], self._of[links]
         self._shared = Shared(comm, layout.flow_count, total, self.roots)
         self._is_mine = (self.roots >= first) & (self.roots < first + layout.flow_count)

@@ -14,6 +14,7 @@ from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.graph import components
+from fracflow.mesh.shared import lowest_joined
 from fracflow.model.joints import Joints
 from fracflow.model.layout import local_rows
 
@@ -79,25 +80,26 @@ def find_clusters(joints: Joints, inverse: PETSc.Mat, comm: MPI.Comm) -> Cluster
     kept = np.abs(rows.values) > COUPLES * largest
     row, col, value = rows.rows[kept] + first, rows.cols[kept], rows.values[kept]
     starts = np.concatenate([[0], np.cumsum(comm.allgather(len(joints.weights)))]).astype(np.int64)
-    label = _labels(row // dim, col // dim, int(starts[-1]), comm)
-    leader = np.unique(label, return_index=True)[1]
-    target = owner_of(starts, leader[label])
-    mine = target[starts[comm.rank] : starts[comm.rank + 1]]
-    sent = np.bincount(mine, minlength=size)
-    exchange = Exchange(comm, np.argsort(mine, kind="stable"), sent, np.array(comm.alltoall(sent.tolist())))
+    own = np.arange(starts[comm.rank], starts[comm.rank + 1])
+    label = _labels(own, row // dim, col // dim, int(starts[-1]), comm)
+    target = owner_of(starts, label)
+    sent = np.bincount(target, minlength=size)
+    exchange = Exchange(comm, np.argsort(target, kind="stable"), sent, np.array(comm.alltoall(sent.tolist())))
 
     # sections that this rank solves for, in ascending order, and the entries between them
-    solved, of = np.flatnonzero(target == comm.rank), target[row // dim]
-    parts = comm.alltoall([(row[of == rank], col[of == rank], value[of == rank]) for rank in range(size)])
-    row, col, value = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return Clusters(exchange, tuple(_batches(solved, label[solved], row, col, value, dim)))
+    of, to = target[row // dim - starts[comm.rank]], [target == rank for rank in range(size)]
+    parts = comm.alltoall(
+        [(own[to[rank]], label[to[rank]], row[of == rank], col[of == rank], value[of == rank]) for rank in range(size)]
+    )
+    solved, label, row, col, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Clusters(exchange, tuple(_batches(solved, label, row, col, value, dim)))
 
 
-def _labels(row: Ints, col: Ints, count: int, comm: MPI.Comm) -> Ints:
-    """The cluster (count,) of each section of all ranks."""
-    pairs = np.unique(row * max(count, 1) + col)
-    links = np.concatenate(comm.allgather(pairs))
-    return components(links // max(count, 1), links % max(count, 1), count)
+def _labels(own: Ints, row: Ints, col: Ints, count: int, comm: MPI.Comm) -> Ints:
+    """Of each of this rank's sections (s,) the lowest of its cluster. Collective."""
+    numbers = np.unique(np.concatenate([own, col]))
+    piece = components(np.searchsorted(numbers, row), np.searchsorted(numbers, col), len(numbers))
+    return lowest_joined(comm, len(own), count, numbers, piece)[np.searchsorted(numbers, own)]
 
 
 def _batches(solved: Ints, label: Ints, row: Ints, col: Ints, value: Floats, dim: int) -> list[Batch]:

@@ -83,7 +83,8 @@ class CondensedRock:
         rows = local_rows(turned)
         turned.destroy()
         moves = ~np.isin(rows.rows, self.held)
-        count, parts = jump.getSize()[0], []
+        count = jump.getSize()[0]
+        whole = np.empty((count, count)) if layout.comm.rank == 0 else None
         right = _dense(layout.solid_count + layout.flow_count, layout.total, layout.comm)
         found = _dense(layout.solid_count + layout.flow_count, layout.total, layout.comm)
         rock = _dense(layout.solid_count, int(layout.solid_starts[-1]), layout.comm)
@@ -98,11 +99,14 @@ class CondensedRock:
             rock.getDenseArray()[:] = found.getDenseArray()[: layout.solid_count]
             rock.assemble()
             strains = jump.matMult(rock)
-            parts.append(strains.getDenseArray()[:, : count - first].copy())
+            columns = layout.comm.gather(strains.getDenseArray()[:, : count - first], root=0)
+            if columns is not None and whole is not None:
+                whole[:, first : first + BLOCK] = np.vstack(columns)
             strains.destroy()
         destroy(right, found, rock)
-        gathered = layout.comm.gather(np.hstack(parts), root=0)
-        return None if gathered is None else np.vstack(gathered) * (scales.displacement / scales.force)
+        if whole is not None:
+            whole *= scales.displacement / scales.force
+        return whole
 
     def destroy(self) -> None:
         """Free the factors. Collective."""

@@ -1,10 +1,10 @@
-"""Time and memory of each part of a large run: large.py [CELLS...] [--refine N] [--ranks N...] [--ways WAY...] [--out DIR].
+"""Time and memory of each part of a large run: large.py [CELLS...] [--refine N] [--ranks N...] [--ways WAY...] [--samples].
 
 The network of _network.py, meshed by Gmsh with so many triangles, which the ranks cut N times in four. Explicit steps of a
 network that begins to slide between absorbing sides are stopped half way and resumed. One quasi-static step with sliding is
-solved by multigrid. Each is a run of its own on each number of ranks, with a stopwatch around the functions below. CPU seconds
-are the mean over ranks, with their waiting. Memory is the peak of each rank so far, VmHWM, of which the last is fitted by
-c + a N/P + b N, for N cells on P ranks.
+solved by multigrid, or by LU (direct). Each is a run of its own on each number of ranks, with a stopwatch around the functions
+below. CPU seconds are the mean over ranks, with their waiting; --samples adds those of each rank without it. Memory is the peak
+of each rank so far, VmHWM, of which the last is fitted by c + a N/P + b N, for N cells on P ranks.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 import _network as network
+from _samples import sampled, seconds
 from _stopwatch import REST, Stopwatch
 from size import machine
 
-CELLS, RANKS, WAYS = (25_000, 100_000), (1, 2, 4), ("explicit", "resume", "quasi-static")
+CELLS, RANKS = (25_000, 100_000), (1, 2, 4)
+WAYS = ("explicit", "resume", "quasi-static", "direct")
 SPEED = 4714.0  # of waves of compression in the scene's rock [m/s]
 COURANT = 0.03  # of a step that is one explicit step
 SCENES = {
@@ -40,7 +42,12 @@ SCENES = {
         ("friction_coefficient = 0.7", "friction_coefficient = 0.44"),
     ),
 }  # fmt: skip
-METHODS = {"explicit": 'method.stepper = "explicit"', "quasi-static": 'method.rock_solver = "multigrid"'}
+SCENES["direct"] = SCENES["quasi-static"]
+METHODS = {
+    "explicit": 'method.stepper = "explicit"',
+    "quasi-static": 'method.rock_solver = "multigrid"',
+    "direct": 'method.coupling = "whole-lu"',
+}
 PARTS = {
     "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "simulation.run:load_mesh"],
     "places and checks": [
@@ -116,14 +123,16 @@ def worker(way: str, scene: str, folder: str, stop: int, result: str) -> None:
         Path(result).write_text(json.dumps(facts | {"ranks": found}), encoding="utf-8")
 
 
-def measure(way: str, scene: Path, ranks: int, stop: int, out: Path) -> dict[str, Any]:
-    """Run a way in processes of its own; what ``worker`` found."""
+def measure(way: str, scene: Path, ranks: int, stop: int, out: Path, samples: bool) -> dict[str, Any]:
+    """Run a way in processes of its own; what ``worker`` found, and samples of each rank."""
     folder, result = out / f"run-{scene.stem}-{ranks}", out / f"{scene.stem}-{way}-{ranks}.json"
     result.unlink(missing_ok=True)
     words = [sys.executable, __file__, "--worker", way, str(scene), str(folder), str(stop), str(result)]
+    taken = result.with_suffix(".perf")
+    words = sampled(words, taken) if samples else words
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     subprocess.run(["mpirun", "--oversubscribe", "-n", str(ranks), *words], check=True, env=clean)
-    return json.loads(result.read_text(encoding="utf-8"))
+    return json.loads(result.read_text(encoding="utf-8")) | ({"samples": seconds(taken, ranks)} if samples else {})
 
 
 def rows_of(way: str, ranks: int, found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -171,7 +180,8 @@ def main() -> None:
     parser.add_argument("cells", nargs="*", type=int, default=CELLS, help="numbers of triangles of the coarse mesh")
     parser.add_argument("--refine", type=int, default=1, help="how often the ranks cut each cell in four")
     parser.add_argument("--ranks", type=int, nargs="+", default=RANKS)
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS)
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS[:3])
+    parser.add_argument("--samples", action="store_true", help="CPU seconds of each rank without its waiting, by perf")
     parser.add_argument("--steps", type=int, default=20, help="explicit steps, of which half are made after the resume")
     parser.add_argument("--out", type=Path, default=Path("runs/bench/large"))
     given = parser.parse_args()
@@ -186,7 +196,7 @@ def main() -> None:
                 kind = "explicit" if way == "resume" else way
                 scene = out / f"{kind}-{cells}-{given.refine}.toml"
                 scene.write_text(scene_of(kind, mesh, cells, given.refine, given.steps), encoding="utf-8")
-                found = measure(way, scene, ranks, given.steps // 2 + 1 if way == "explicit" else 0, out)
+                found = measure(way, scene, ranks, given.steps // 2 + 1 if way == "explicit" else 0, out, given.samples)
                 new = rows_of(way, ranks, found)
                 for row in new:
                     print(json.dumps(row), flush=True)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.model.mass import inverse_mass
 from fracflow.model.network_parts import Parts, change_volume, close, closure_row, leaving
 from fracflow.model.setup import on_root
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load
+from fracflow.solve.clusters import find_clusters
 
 COMM = MPI.COMM_WORLD
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "no_outlet" / "scene.toml"
@@ -81,3 +83,31 @@ def test_nodes_that_terms_drain_are_known_where_they_are_owned(models):
     assert (
         len(leaving(cut.operators)) == cut.operators.layout.flow_count < len(leaving(whole.operators)) or COMM.size == 1
     )
+
+
+def clusters_of(model):
+    """Of each section, by the number of its joint: the numbers of its cluster, and what these move each other."""
+    ops, comm = model.operators, model.operators.layout.comm
+    inverse = inverse_mass(ops, model.loads.held)
+    clusters = find_clusters(ops.joints, inverse, comm)
+    inverse.destroy()
+    ids = np.repeat(ops.blocks.joints.ids, ops.joints.points)
+    there = clusters.exchange.there(ids[:, None].astype(float))[:, 0]
+    found = np.full((len(there), 3), np.nan)
+    for batch in clusters.batches:
+        inside, size = there[batch.sections], np.abs(batch.compliance).sum(axis=(1, 2))
+        each = np.stack([inside.sum(axis=1), np.full(len(inside), inside.shape[1]), size], axis=1)
+        found[batch.sections] = each[:, None]
+    rows = np.insert(clusters.exchange.back(found), 0, ids, axis=1)
+    return np.array(sorted(np.concatenate(comm.allgather(rows)).round(20).tolist()))
+
+
+def test_clusters_of_sections_are_those_of_one_rank():
+    """At a crossing a section couples with two of three others, which may all be of other ranks."""
+    scene = load(SCENE.parents[2] / "crossings" / "scene.toml")
+    mesh = on_root(COMM, lambda: read_split(scene))
+    whole = clusters_of(prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0)))
+    assert whole[:, 2].max() >= 4.0
+    for seed in range(2):  # the one cuts a crossing so on three ranks, the other on two
+        ranks = None if mesh is None else np.random.default_rng(seed).integers(COMM.size, size=len(mesh.cells))
+        np.testing.assert_allclose(clusters_of(prepare(scene, COMM, mesh, ranks)), whole, rtol=1e-12)
