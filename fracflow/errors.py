@@ -68,10 +68,10 @@ class ReductionInvalid(Exception):
         super().__init__(f"{decision}: time {time:.9g}: {why}")
 
 
-class MeshNeeded(Exception):
-    """An event begins in rock that is not meshed: the run goes on from its last state with a mesh.
+class OtherRock(Exception):
+    """The run goes on from its last state in the other rock: with a mesh as an event begins, without one once it is over.
 
-    why       it begins
+    why       in words
     progress  of its stage, as ``advance.step.Progress``
     newton    iterations of Newton's method spent in vain since that state, on so many ``trials`` of steps
     """
@@ -105,4 +105,4 @@ def is_alone() -> bool:
     return error is not None and not isinstance(error, _AGREED)
 
 
-_AGREED = (InputError, SolveError, DiskError, ReductionInvalid, MeshNeeded, Interrupted, GeneratorExit)
+_AGREED = (InputError, SolveError, DiskError, ReductionInvalid, OtherRock, Interrupted, GeneratorExit)

@@ -17,7 +17,7 @@ from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.step_error import step_error
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, halvings_given, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
-from fracflow.errors import MeshNeeded, NotConverged, ReductionInvalid
+from fracflow.errors import NotConverged, OtherRock, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
@@ -38,8 +38,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
 
     With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
 
-    Rock without a mesh has no inertia: MeshNeeded is raised, on every rank, where an event begins in it. The stage goes on once
-    the rock is meshed, and finds out again whether there is an event.
+    Rock without a mesh has no inertia: OtherRock is raised, on every rank, where an event begins in it. The stage goes on once
+    the rock is meshed, and finds out again whether there is an event. OtherRock is raised again where such an event is over.
 
     A change of regime is a step of no length. Where inertia comes in, the state is in balance except for forces that no
     state at rest balances; these alone start the motion. Where it goes, the kinetic energy is counted as dissipated by
@@ -67,6 +67,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             yield Step(state, number, 0.0, StepReport(), event.as_progress(), REST)
     spent, waves = StepReport(), regimes.waves
     while waves.place.fraction or regimes.end - state.time > max(NEAR * event.least, TIME_ROUND_OFF * abs(regimes.end)):
+        if model.of_event and event.over and not (event.moves or regimes.is_excited(state.time)):
+            raise OtherRock("the event is over", event.as_progress())
         if event.moves:
             if not waves.place.fraction and event.is_quiet(state, stage) and not regimes.is_excited(state.time):
                 settled, event, trials = regimes.return_to_quasi_static(state, event)
@@ -87,7 +89,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             continue
         if why := regimes.is_excited(state.time):
             if model.scene.is_unbounded:
-                raise MeshNeeded(why, event.as_progress(), spent.wasted, spent.rejected)
+                raise OtherRock(why, event.as_progress(), spent.wasted, spent.rejected)
             log(f"time {state.time:.9g}: an event begins: {why}")
         else:
             tried = regimes.slow_step(state, event)
@@ -102,7 +104,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
                 event = replace(event, step=max(0.5 * tried.length, event.least), calm=0.0)
                 continue
             if model.scene.is_unbounded:
-                raise MeshNeeded(tried.why, event.as_progress(), spent.wasted, spent.rejected)
+                raise OtherRock(tried.why, event.as_progress(), spent.wasted, spent.rejected)
             regimes.log_onset(state, event.trials + spent.rejected, tried.why)
         entered = stepping.enter(state, regimes.moving, event.least)
         period = longest_period(model.operators, model.loads, state.sections)

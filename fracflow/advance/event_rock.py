@@ -1,9 +1,10 @@
-"""A state handed from rock without a mesh to the same fractures in meshed rock: jumps, tractions and fluid stay as they are.
+"""A state handed from rock without a mesh to the same fractures in meshed rock, or back: jumps, tractions and fluid go on.
 
 The displacement of the meshed rock is u = u_J + E v. Walls that move by u_J make the jumps; E v moves all walls of a node as
-one. The rock is in equilibrium for E' (K u + F_s(sigma_0) - R) = 0. The walls then carry another traction than before. The
-difference is frozen: its forces are added to those of the initial stress. So nothing slips by the change of rock itself. Strain
-energy by which both rocks differ is an entry of the energy balance.
+one. The rock is in equilibrium for E' (K u + F_s(sigma_0) - R) = 0. Rock without a mesh has the walls alone, the first of each
+node held. The walls then carry another traction than before. The difference is frozen: its forces are added to those of the
+initial stress. So nothing slips by the change of rock itself. Strain energy by which both rocks differ is an entry of the
+energy balance.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ from fracflow.solve.options import solver_of
 
 @dataclass(frozen=True)
 class Handed:
-    """A state in meshed rock, and what it has left behind.
+    """A state in the other rock, and what it has left behind.
 
     mean    of the frozen traction along the fractures, root of its mean square [stress]
     most    of it at a node [stress]
-    energy  strain energy of the meshed rock above that of the other [energy per thickness]
+    energy  strain energy of this rock above that of the rock before [energy per thickness]
     """
 
     state: State
@@ -47,24 +48,25 @@ class Handed:
 def handed_over(old: Model, new: Model, state: State) -> Handed:
     """A state at rest of ``old``, on the joints of ``new``, whose initial stress takes up the difference.
 
-    It changes ``new.operators.prestress``. Raises SolveError. Collective.
+    It changes ``new.operators.prestress``, which has nothing frozen in it. Raises SolveError. Collective.
     """
     ops, before = new.operators, old.operators
     loads = new.loads.standing()
     load = ops.layout.solid_vector()
     loads.force(state.time, state.controls, load)
-    still = load.copy()
-    still.axpy(-1.0, ops.prestress)
-    nothing = ops.layout.solid_vector()
-    walls = [_at_walls(old, new, vector) for vector in (state.motion.displacement, state.motion.velocity)]
-    rock = _Rock(ops, loads.held)
-    displacement, velocity = (rock.around(wall, force) for wall, force in zip(walls, (still, nothing), strict=True))
-    rock.destroy()
+    displacement, velocity = (_at_walls(old, new, each) for each in (state.motion.displacement, state.motion.velocity))
+    if not new.scene.is_unbounded:
+        still, nothing, walls = load.copy(), ops.layout.solid_vector(), (displacement, velocity)
+        still.axpy(-1.0, ops.prestress)
+        rock = _Rock(ops, loads.held)
+        displacement, velocity = (rock.around(*each) for each in zip(walls, (still, nothing), strict=True))
+        rock.destroy()
+        destroy(still, nothing, *walls)
 
     pressure = _moved_flow(before, ops, state.pressure)
     sections = _moved_sections(before, ops, state.sections)
     term = displacement.duplicate()
-    ops.stiffness.mult(displacement, term)
+    ops.rock_force(displacement, term)
     stored = 0.5 * float(term.dot(displacement)) + float(ops.prestress.dot(displacement))
     left = static_balance(ops, displacement, sections.traction, pressure, load)
     support = left.copy()
@@ -72,10 +74,12 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
     support.axpy(-1.0, left)
     ops.prestress.axpy(-1.0, left)
     mean, most = _as_traction(ops, left)
-    destroy(still, nothing, left, term, *walls)
+    destroy(left, term)
 
-    more = stored - state.energy["rock_strain"]
+    on_sides = 0.0 if old.scene.is_unbounded else _work_on_sides(before, state.motion.displacement)
+    more = stored - (state.energy["rock_strain"] - on_sides)
     energy = {**state.energy, "rock_strain": stored, CHANGE_OF_ROCK: state.energy.get(CHANGE_OF_ROCK, 0.0) - more}
+    energy["work_boundaries"] -= on_sides
     forces = Forces(
         load, support, *(_moved_flow(before, ops, each) for each in (state.forces.conduction, state.forces.source))
     )
@@ -95,7 +99,10 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
 
 
 def _at_walls(old: Model, new: Model, vector: PETSc.Vec) -> PETSc.Vec:
-    """Displacements of the walls of ``old`` as those of ``new``, none elsewhere, in a new vector. Collective."""
+    """Displacements of the walls of ``old`` as those of ``new``, none elsewhere, in a new vector. Collective.
+
+    In rock without a mesh they are those beside the first wall of each node.
+    """
     ops, before = new.operators, old.operators
     there, here = (np.concatenate([o.blocks.joints.bottom, o.blocks.joints.top], axis=1) for o in (before, ops))
     block, result = ops.blocks.solid, ops.layout.solid_vector()
@@ -104,6 +111,10 @@ def _at_walls(old: Model, new: Model, vector: PETSc.Vec) -> PETSc.Vec:
     nodes = Shared(ops.layout.comm, block.owned, ops.blocks.sizes.nodes, block.node_global)
     walls = np.stack([nodes.largest(each)[: block.owned] for each in values.T], axis=1)  # of other ranks' joints too
     nodes.destroy()
+    if new.scene.is_unbounded:
+        ids, first = block.node_ids[: block.owned], block.origin[: block.owned]
+        known = np.where(np.isfinite(walls), walls, 0.0)
+        walls = walls - _by_ids(ops.layout.comm, ops.blocks.sizes.nodes, ids, known, first)
     own = np.flatnonzero(np.isfinite(walls).all(axis=1))
     result.getArray()[block.unknown[own] - result.getOwnershipRange()[0]] = walls[own]
     return result
@@ -150,11 +161,7 @@ class _Rock:
 
 def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
     """Root of the mean square, and the largest, of the traction (4.4b) that forces on walls stand for. Collective."""
-    blocks = ops.blocks
-    faces = np.concatenate([blocks.joints.bottom, blocks.joints.top], axis=1)
-    _, length = facet.frame(blocks.solid.points[blocks.joints.bottom])
-    half = np.broadcast_to(0.5 * length[:, None, None], (*faces.shape, blocks.sizes.dim))
-    size = nodal_force(blocks, faces, half.copy(), ops.expand)
+    size = _length_of_walls(ops)
     on = size.getArray()
     here = on > 0.0
     traction = force.getArray(readonly=True)[here] / on[here]
@@ -162,6 +169,24 @@ def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
     most = ops.layout.comm.allreduce(float(np.abs(traction).max(initial=0.0)), op=MPI.MAX)
     size.destroy()
     return float(np.sqrt(sums[0] / max(sums[1], 1e-300))), most
+
+
+def _length_of_walls(ops: Operators) -> PETSc.Vec:
+    """Length of the walls that each unknown stands for, none inside the rock and on its sides, in a new vector. Collective."""
+    blocks = ops.blocks
+    faces = np.concatenate([blocks.joints.bottom, blocks.joints.top], axis=1)
+    _, length = facet.frame(blocks.solid.points[blocks.joints.bottom])
+    half = np.broadcast_to(0.5 * length[:, None, None], (*faces.shape, blocks.sizes.dim))
+    return nodal_force(blocks, faces, half.copy(), ops.expand)
+
+
+def _work_on_sides(ops: Operators, displacement: PETSc.Vec) -> float:
+    """Work of the initial stress on sides that have moved in an event; rock without a mesh has none. Collective."""
+    size = _length_of_walls(ops)
+    apart = size.getArray(readonly=True) == 0.0
+    size.destroy()
+    work = float(ops.prestress.getArray(readonly=True)[apart] @ displacement.getArray(readonly=True)[apart])
+    return float(ops.layout.comm.allreduce(work))
 
 
 def _by_ids(comm: MPI.Comm, total: int, ids: Ints, values: NDArray[Any], wanted: Ints) -> NDArray[Any]:

@@ -79,6 +79,7 @@ class EventState:
     peak    largest one since
     trials  steps without inertia that were rejected since the last event
     loud    when it was last above the share of its peak that counts as rest [time]
+    over    1 once an event is over in the rock that the stage is in
     """
 
     least: float
@@ -92,6 +93,7 @@ class EventState:
     peak: float = 0.0
     loud: float = 0.0
     trials: float = 0.0
+    over: float = 0.0
 
     def as_progress(self, place: SubstepCursor | None = None) -> dict[str, float]:
         """The numbers that a checkpoint stores of it, and of the place in a step with inertia."""
@@ -137,13 +139,13 @@ class EventState:
 
     def at_rest(self) -> EventState:
         """As an event ends: the first step without inertia lasts a period."""
-        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
+        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0, over=1.0)
 
 
-def on_mesh(progress: Mapping[str, float], model: Model, state: State, stage: Stage) -> EventState:
-    """The event state of a stage whose rock has been meshed since. Raises SolveError as ``begin``. Collective."""
+def after_change_of_rock(progress: Mapping[str, float], model: Model, state: State, stage: Stage) -> EventState:
+    """The event state of a stage that goes on in another rock. Raises SolveError as ``begin``. Collective."""
     event, (least, period) = EventState.of(progress), wave_step(model, state, stage)
-    return replace(event, least=least, period=period, step=max(event.step, least))
+    return replace(event, least=least, period=period, step=max(event.step, least), over=0.0)
 
 
 def begin(model: Model, state: State, stage: Stage) -> EventState:

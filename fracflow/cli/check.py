@@ -99,15 +99,12 @@ def _network(model: Model) -> NetworkCheck:
     return NetworkCheck(snap, [miss.as_record() for miss in misses], parts)
 
 
-def _of_events(model: Model, each: float) -> dict[str, str]:
-    """Cost of events by the seconds of an iteration ``each``, or by those on the mesh that they get in rock without one."""
-    if not model.scene.is_unbounded or not model.scene.has_dynamics:
-        return cost_of_events(model, each, ITERATIONS)
+def price_of_events(model: Model) -> dict[str, str]:
+    """Cost of events of rock without a mesh, by the seconds of an iteration on the mesh that they get."""
     cells = int(cells_of_event(model.scene, model.bounded))
-    each = _in_event(model, cells)
     period = period_of_event(model.scene, model.bounded)
     mesh = {"mesh of the first event, about": f"{cells:.2g} cells, made in {MESHES * cells:.2g} CPU s"}
-    return mesh | cost_of_events(model, each, ITERATIONS, period)
+    return mesh | cost_of_events(model, _in_event(model, cells), ITERATIONS, period)
 
 
 def _in_event(model: Model, cells: int) -> float:
@@ -158,7 +155,8 @@ def _cost(model: Model, steps: int) -> dict[str, str]:
             each += PRODUCTS * product
             made = f"{PRODUCTS} products of {product:.2g} s and {made}"
         seconds += steps * ITERATIONS * each
-        of_events = _of_events(model, each)
+        is_meshed_later = model.scene.is_unbounded and model.scene.has_dynamics
+        of_events = price_of_events(model) if is_meshed_later else cost_of_events(model, each, ITERATIONS)
         found |= of_events
         parts.append(f"{ITERATIONS} iterations a step, each with {made}")
     besides = [f"events{', which are as above' if of_events else ''}"] if has_events else []

@@ -5,7 +5,8 @@ kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + 
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
 Terms may add entries: on the left, or on the right where their names begin with "work_". Where joints dilate, ``dilation``
 is the work of walls that ride up against what presses them. It is no summand: the dissipation ``friction`` is less it.
-Where rock may be meshed in the course of a run, ``change_of_rock`` is on the left: strain energy of the one less the other.
+Where rock may be meshed in the course of a run, ``change_of_rock`` is on the left. It is the strain energy of the rock before
+a change less that after it, summed over all changes.
 """
 
 from __future__ import annotations

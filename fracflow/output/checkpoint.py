@@ -78,6 +78,7 @@ class Notes(TypedDict, total=False):
     """The notes of a checkpoint beside its arrays; those named in NOTES must be there.
 
     seals  digests of what it belongs to: the roots of "mesh", the last row of "history", the text of "scene"
+    meshed  whether the run is on the mesh of an event
     """
 
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)  # type: ignore[misc]
@@ -103,6 +104,7 @@ class Notes(TypedDict, total=False):
     through: dict[str, float]
     volumes: SavedVolumes
     seals: dict[str, str]
+    meshed: bool
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, Slabs], notes: Mapping[str, Any]) -> None:

@@ -162,8 +162,24 @@ def list_steps(folder: str | Path, name: str) -> list[tuple[int, Path]]:
     return sorted((number, path) for number, path in found if number is not None)
 
 
-def set_aside(folder: Path, name: str, other: str) -> None:
-    """Let a family that is there go on under another name, so that one with another mesh may have its own. Raises OSError."""
+def exchange(folder: Path, name: str, aside: str, back: str) -> None:
+    """Let a family with another mesh take a ``name``. That which has it goes on as ``aside``; one called ``back`` returns.
+
+    Raises OSError.
+    """
+    _set_aside(folder, name, aside)
+    _bring_back(folder, name, back)
+
+
+def undo_exchange(folder: Path, name: str, aside: str, back: str) -> None:
+    """Undo ``exchange``, also a part of it, before a writer of the family makes its index anew. Raises OSError."""
+    if (folder / "fields" / f"{aside}_mesh.h5").exists():
+        if (folder / "fields" / f"{name}_mesh.h5").exists():
+            _set_aside(folder, name, back)
+        _bring_back(folder, name, aside)
+
+
+def _set_aside(folder: Path, name: str, other: str) -> None:
     fields, index = folder / "fields", folder / f"{name}.xdmf"
     for path in (fields / f"{name}_mesh.h5", *(path for _, path in list_steps(folder, name))):
         path.replace(fields / path.name.replace(name, other, 1))
@@ -172,8 +188,8 @@ def set_aside(folder: Path, name: str, other: str) -> None:
     )
 
 
-def bring_back(folder: Path, name: str, other: str) -> None:
-    """Undo ``set_aside``, also half of it, before a writer of the family makes its index anew. Raises OSError."""
+def _bring_back(folder: Path, name: str, other: str) -> None:
+    """Undo ``_set_aside``, also half of it; the index of the other is no more."""
     fields = folder / "fields"
     for path in (fields / f"{other}_mesh.h5", *(path for _, path in list_steps(folder, other))):
         if path.exists():

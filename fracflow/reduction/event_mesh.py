@@ -107,7 +107,7 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     return (
         *near,
         note(
-            f"stage auto: once an event needs inertia the rock is meshed for good, with {sides}: {cells}"
+            f"stage auto: for events that need inertia the rock is meshed, with {sides}: {cells}"
             f" from ({left:.6g}, {bottom:.6g}) to ({right:.6g}, {top:.6g}){unit}"
         ),
     )
@@ -121,10 +121,11 @@ def nearness(extent: float, margin: float) -> float:
     return (0.5 * extent / max(margin, 0.5 * extent)) ** 2
 
 
-def mesh_of_events(when: str, why: str, cells: int, nodes: int) -> Decision:
-    """The record of a run whose rock was not meshed until an event needed it."""
+def mesh_of_events(when: str, why: str, cells: int, nodes: int, times: int = 1) -> Decision:
+    """The record of a run whose rock was not meshed until an event needed it, so many ``times``."""
+    again = f", taken {times} times" if times > 1 else ""
     return Decision(
-        MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes, made at time {when}",
+        MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes{again}, made at time {when}",
         "made at the first one", "none", f"nothing: {why}", added=True,
     )  # fmt: skip
 

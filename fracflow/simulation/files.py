@@ -24,7 +24,7 @@ from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, R
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import restoring, write_checkpoint
 from fracflow.output.events import Chatter
-from fracflow.output.fields import bring_back, set_aside
+from fracflow.output.fields import exchange, undo_exchange
 from fracflow.output.history import read_rows
 from fracflow.output.probes import measured, probe_record, well_record
 from fracflow.output.profiles import ProfileFile
@@ -38,7 +38,8 @@ from fracflow.storage.files import read_bytes
 from fracflow.storage.sealed import AGAIN, Slabs, digest
 
 EVENT_MESH = "event_mesh.h5"
-ASIDE = "rock_before"  # fields of the rock from before it was meshed
+UNMESHED = "rock_before"  # fields of the rock without a mesh, while an event has it meshed
+OF_EVENTS = "rock_of_events"  # fields of the rock on the mesh of events, while no event needs it
 Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
@@ -60,6 +61,11 @@ class Before:
         self.notes = [] if seals else [f"{folder}: {UNSEALED}"]
         if seals.get("scene", "") not in ("", scene_seal(folder)):
             self.notes.append(f"{folder}: {EDITED}")
+
+
+def _aside(is_meshed: bool) -> tuple[str, str]:
+    """Names of the families of fields that are set aside, and taken again, as the rock is meshed or its mesh is left."""
+    return (UNMESHED, OF_EVENTS) if is_meshed else (OF_EVENTS, UNMESHED)
 
 
 def scene_seal(folder: Path) -> str:
@@ -102,9 +108,11 @@ class Files:
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
-            if not model.of_event:  # a kill before the first checkpoint with a mesh left fields aside
-                bring_back(self.folder.path, "rock", ASIDE)
-        self.event_seal = mesh_root(self.folder / EVENT_MESH) if model.of_event else ""
+            if model.scene.is_unbounded or model.of_event:  # a kill before the next checkpoint left fields in exchange
+                undo_exchange(self.folder.path, "rock", *_aside(not model.of_event))
+        is_made = notes is not None and bool(notes["seals"].get("event_mesh"))
+        self.event_seal = mesh_root(self.folder / EVENT_MESH) if is_made else ""
+        self.is_meshed = model.of_event
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}
         units = model.scene.unit_names
@@ -170,14 +178,15 @@ class Files:
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def hand_over(self, model: Model, rock: tuple[Slabs, Slabs]) -> None:
-        """Go on with a model on a mesh, whose joints and flow nodes have the numbers of before. Raises OSError.
+        """Go on with the model of the other rock, whose joints and flow nodes have the same numbers. Raises OSError.
 
         rock  points and cells that the fields show from now on; those of before are set aside
         """
         assert model.mesh is not None
-        self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
-        self.event_seal = save_mesh(model.mesh, self.folder / EVENT_MESH)
-        set_aside(self.folder.path, "rock", ASIDE)
+        self.scene, self.mesh, self.placed, self.is_meshed = model.scene, model.mesh, model.placed, model.of_event
+        if self.is_meshed and not self.event_seal:
+            self.event_seal = save_mesh(model.mesh, self.folder / EVENT_MESH)
+        exchange(self.folder.path, "rock", *_aside(self.is_meshed))
         self._open_fields(True, rock)
 
     def _warn(self, lines: list[str]) -> None:
@@ -204,6 +213,7 @@ class Files:
         notes |= {"volumes": asdict(state.volumes)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
+        notes |= {"meshed": self.is_meshed}
         event = {"event_mesh": self.event_seal} if self.event_seal else {}
         seals = {"seals": {**event, "mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})

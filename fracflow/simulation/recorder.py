@@ -65,14 +65,11 @@ class Recorder:
         return on_root(self.comm, work)
 
     def hand_over(self, model: Model, time: float, why: str) -> None:
-        """Go on with a model on a mesh that has taken the place of one without, since an event asked for it. Collective."""
-        self.model, sizes = model, model.operators.blocks.sizes
-        self.totals.meshed = {
-            "when": model.scene.time_text(time),
-            "why": why,
-            "cells": sizes.cells,
-            "nodes": sizes.nodes,
-        }
+        """Go on with the model of the other rock: on the mesh that an event asked for, or without one again. Collective."""
+        self.model, sizes, made = model, model.operators.blocks.sizes, self.totals.meshed
+        if model.of_event:
+            first = {"when": model.scene.time_text(time), "why": why, "cells": sizes.cells, "nodes": sizes.nodes}
+            self.totals.meshed = {**(made or first), "times": made.get("times", bool(made)) + 1}
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
         self._notices = Notices(model, self.totals, self.log)
         with shown_rock(model.operators.blocks, model.mesh) as rock:
@@ -181,7 +178,7 @@ class Recorder:
             return
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
         found = state_arrays(self.model.operators, step.state)
-        if self.model.of_event:
+        if self.totals.meshed:
             found |= prestress_array(self.model.operators)
         with on_rank_0(self.comm, found) as arrays:
             if arrays is not None:

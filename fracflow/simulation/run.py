@@ -7,21 +7,20 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fracflow._petsc import MPI, destroy, timed
+from fracflow._petsc import MPI, timed
 from fracflow._version import __version__
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
 from fracflow.advance.stage import first_substep, refuse_moved, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
-from fracflow.errors import DiskError, InputError, Interrupted, MeshNeeded, ReductionInvalid, SolveError, is_alone
+from fracflow.errors import DiskError, InputError, Interrupted, OtherRock, ReductionInvalid, SolveError, is_alone
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_prestress, restore_state, restoring
-from fracflow.output.drawing.axes import shown
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
@@ -33,11 +32,11 @@ from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.units import STRESS
 from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.observer import Observer, observer_of
 from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.rocks import Rocks
 from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import set_defaults
@@ -81,7 +80,7 @@ def run(
 class _Begun:
     """A run that is ready to go on from a step; ``clock`` is when it was begun [s]."""
 
-    model: Model
+    rocks: Rocks
     recorder: Recorder
     step: Step
     clock: float
@@ -128,7 +127,7 @@ def _begun(
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
-    return _Begun(model, recorder, step, began, folder)
+    return _Begun(Rocks(model), recorder, step, began, folder)
 
 
 def resume(
@@ -153,17 +152,20 @@ def resume(
         is_as_before = notes["ranks"] == comm.size
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
         event_seal = notes["seals"].get("event_mesh", "")
-        event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if event_seal else None)
+        is_meshed = notes.get("meshed", bool(event_seal))  # earlier versions never left the mesh of an event
+        event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if is_meshed else None)
         cell_rank = on_root(comm, lambda: _partition(arrays, event_mesh or mesh) if is_as_before else None)
-        first_rank = None if event_seal else cell_rank
+        first_rank = None if is_meshed else cell_rank
         model = prepare(scene, comm, mesh, first_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], first_rank)
-        if event_seal:
+        meshed = None
+        if is_meshed:
             from fracflow.reduction.event_mesh import with_event_mesh
 
-            first, model = model, with_event_mesh(model, comm, event_mesh, cell_rank)
-            first.operators.stiffness.destroy()
+            meshed = with_event_mesh(model, comm, event_mesh, cell_rank)
+        rocks = Rocks(model, meshed, event_seal, is_meshed)
+        model = rocks.now
         with restoring(saved):
             check_stage(notes, [stage.kind for stage in scene.stage])
             refuse_moved(scene, notes["stage"], notes["progress"], notes["time"])
@@ -174,7 +176,7 @@ def resume(
         recorder = Recorder(model, facts, folder, comm, notes)
         done = recorder.totals.steps
         recorder.log(note(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks"))
-        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began, folder)
+        undone, ready = notes["totals"]["undone"], _Begun(rocks, recorder, step, began, folder)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
@@ -229,22 +231,22 @@ def of_stage(stage: Stage, error: SolveError, scene: Scene | None = None) -> Sol
 
 def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
-    model, recorder, step = begun.model, begun.recorder, begun.step
+    rocks, recorder, step = begun.rocks, begun.recorder, begun.step
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)
     try:
         recorder.check()
-        step, failure = _stepped(model, recorder, step, observer)
-        while isinstance(failure, MeshNeeded):
+        step, failure = _stepped(rocks.now, recorder, step, observer)
+        while isinstance(failure, OtherRock):
+            scene = rocks.now.scene
             try:
-                model, step = _on_event_mesh(model, recorder, step, failure)
+                step = rocks.change(recorder, step, failure)
             except (InputError, SolveError) as error:  # the state before is on disk
-                stage = model.scene.stage[step.stage]
-                failure = of_stage(stage, SolveError(f"an event needs a mesh: {error}"), model.scene)
+                failure = of_stage(scene.stage[step.stage], SolveError(f"an event needs a mesh: {error}"), scene)
                 recorder.log(f"stopped: {failure}")
                 recorder.last(step)
                 break
-            step, failure = _stepped(model, recorder, step, observer, is_on_record=False)
+            step, failure = _stepped(rocks.now, recorder, step, observer, is_on_record=False)
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
@@ -262,7 +264,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
 
 def _stepped(
     model: Model, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool = True
-) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
+) -> tuple[Step, SolveError | Interrupted | DiskError | OtherRock | None]:
     """All steps of a model, by solvers of its own; as ``_steps``. Collective."""
     layout = model.operators.layout
     rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]))
@@ -275,42 +277,11 @@ def _stepped(
     finally:
         if not is_alone():
             stepping.destroy()
-    if not isinstance(failure, (Interrupted, MeshNeeded)):
+    if not isinstance(failure, (Interrupted, OtherRock)):
         recorder.last(step)  # fields of the rock take memory, which solvers have given back by now
         if failure is not None:
             recorder.save(step)
     return step, failure
-
-
-@timed("FracSetUp", "Set up")
-def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNeeded) -> tuple[Model, Step]:
-    """The model on the mesh that an event needs, and its first state on record. Raises InputError, SolveError. Collective."""
-    from fracflow.advance.event_rock import handed_over  # few runs need them
-    from fracflow.advance.regime import on_mesh
-    from fracflow.reduction.event_mesh import with_event_mesh
-
-    scene, state = model.scene, step.state
-    recorder.save(step)  # Gmsh may fail
-    recorder.log(f"time {scene.time_text(state.time)}: an event needs inertia: {needed.why}: the rock is meshed")
-    new = with_event_mesh(model, recorder.comm)
-    found = handed_over(model, new, state)
-    event = on_mesh(needed.progress, new, found.state, scene.stage[step.stage])
-    destroy(state, model.operators.stiffness)  # large, and done with
-    recorder.hand_over(new, found.state.time, needed.why)
-    sizes, units = new.operators.blocks.sizes, scene.unit_names
-    mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))
-    stored = found.state.energy["rock_strain"]
-    share = abs(found.energy / stored) if stored else 0.0
-    recorder.log(
-        note(
-            f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes; at the same jumps its stress on the fractures differs by"
-            f" {mean} in the mean, {most} at the most, which is frozen; its strain energy by {found.energy:.3g} per"
-            f" thickness, {share:.2g} of it: energy/change_of_rock"
-        )
-    )
-    for line in new.placed.notes:
-        recorder.log(marked(line))
-    return new, replace(step, state=found.state, progress=event.as_progress())
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -335,10 +306,10 @@ def _steps_of(stage: Stage) -> Callable[..., Iterator[Step]]:
 @timed("FracSteps", "Steps")
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool
-) -> tuple[Step, SolveError | Interrupted | DiskError | MeshNeeded | None]:
+) -> tuple[Step, SolveError | Interrupted | DiskError | OtherRock | None]:
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective.
 
-    Where an event needs a mesh, the step returned takes no time and is not on record.
+    Where the run goes on in the other rock, the step returned takes no time and is not on record.
     """
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     observer.follow(stepping.work.trial)
@@ -393,7 +364,7 @@ def _steps(
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise
-        except MeshNeeded as needed:
+        except OtherRock as needed:
             spent = StepReport(rejected=needed.trials, wasted=needed.newton)
             return Step(state, number, 0.0, spent, needed.progress, "quasi-static"), needed
         except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective

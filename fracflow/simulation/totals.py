@@ -30,7 +30,8 @@ class Totals:
     profiles  where the ``Timetable`` of the profiles stands
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
-    meshed    the mesh that an event in rock without one was given: "when" and "why" in words, "cells" and "nodes"
+    meshed    the mesh that an event in rock without one was given: "when" and "why" in words, "cells" and "nodes".
+              So many "times" events have needed it
     """
 
     steps: int = 0
