@@ -21,6 +21,7 @@ from fracflow.errors import MeshNeeded, NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
+from fracflow.scene.advice import is_for_explicit
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
@@ -80,7 +81,9 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             state = found.state
             event = replace(event.moved_to(state, stage.at_rest), count=event.count + (found.reached == 1.0))
             absorbs = any(term.absorbs for term in model.scene.terms)
-            if line := event.is_unstable(before, state.time, absorbs, regimes.moving.damps):
+            if line := event.is_unstable(
+                before, state.time, absorbs, regimes.moving.damps or is_for_explicit(model.scene)
+            ):
                 log(marked(f"time {state.time:.9g}: {line}"))
             report = regimes.counted(found.report)
             yield Step(state, number, found.length, report, event.as_progress(waves.place), WAVES)
