@@ -206,7 +206,7 @@ def check(
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
-    from fracflow.cli.answer import shown
+    from fracflow.cli.answer import size_line
     from fracflow.mesh.split import summary
     from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
@@ -224,7 +224,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     except InputError as error:  # wells may be placed later
         typer.echo(marked(str(error)))
     for key, value in summary(split).items():
-        typer.echo(f"{key}: {shown(value)}")
+        typer.echo(size_line(key, value))
 
 
 @app.command()
