@@ -33,7 +33,7 @@ from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.units import STRESS
+from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.observer import Observer, observer_of
@@ -305,8 +305,8 @@ def _on_event_mesh(model: Model, recorder: Recorder, step: Step, needed: MeshNee
     recorder.log(
         note(
             f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes; at the same jumps its stress on the fractures differs by"
-            f" {mean} in the mean, {most} at the most, which is frozen; its strain energy by {found.energy:.3g} per"
-            f" thickness, {share:.2g} of it: energy/change_of_rock"
+            f" {mean} in the mean, {most} at the most, which is frozen; its strain energy by"
+            f" {shown(ENERGY, found.energy, units, 3)}, {share:.2g} of it: energy/change_of_rock"
         )
     )
     for line in new.placed.notes:
