@@ -55,6 +55,7 @@ def advice(scene: Scene) -> list[str]:
         *degrees(scene),
         *_idle(scene),
         *_timeless(scene),
+        *_without_flow(scene),
         *_shut_wells(scene),
         *_of_one_length(scene),
         *_reflecting(scene),
@@ -150,6 +151,18 @@ def _of_one_length(scene: Scene) -> Iterator[str]:
             f"well.{rates[0]}.flow_rate enters 1{unit} of the fractures out of the plane: if it is that of a whole well, give"
             " fluid.flow_depth"
         )
+
+
+def _without_flow(scene: Scene) -> Iterator[str]:
+    """A pressure that initial tractions count on, where a zero leaves the flow out, and all pressures with it."""
+    fluid = scene.fluid
+    if fluid is None or scene.has_flow or not (fluid.initial_pressure or fluid.pressure_gradient):
+        return
+    zero = next(key for key in ("viscosity", "specific_weight", "density") if getattr(fluid, key) == 0.0)
+    yield (
+        f"fluid.{zero} = 0 leaves the flow out: nothing carries fluid.initial_pressure, which initial tractions of fractures"
+        f" count on: give a fluid.{zero} above 0, or leave [fluid] out and give effective stresses"
+    )
 
 
 def _reflecting(scene: Scene) -> Iterator[str]:
