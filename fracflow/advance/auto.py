@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from fracflow.advance.events import EventLocated
+from fracflow.advance.events import EventLocated, most_events
 from fracflow.advance.excitation import excitations, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
@@ -123,13 +123,11 @@ class _Regimes:
         self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
         self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        locates = not scene.is_unbounded and scene.method.events != "at-step-ends"
         if not scene.is_unbounded:
             stepping.explicit.log_steps(self.moving, least)
-            locates = locates and stepping.explicit.locates(self.moving, least)
             if not self.moving.explicit:
                 stepping.couplings.expect(self.moving, least)
-        events = scene.accuracy.max_events if locates else 0
+        events = most_events(stepping, self.moving, least)
         step = stepping.by(self.moving)
         step = EventLocated(step, stepping) if events else step
         by_rate = follows_slip(model, self.moving)

@@ -57,6 +57,7 @@ class FlowNetwork:
         self._parts: Parts | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
+        # weak: a state that is done with is freed, and a new one may have its id
         self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
 
     def log_digits(self, line: str) -> None:
