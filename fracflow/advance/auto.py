@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from fracflow.advance.events import EventLocated
+from fracflow.advance.events import EventLocated, most_events
 from fracflow.advance.excitation import excitations, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
@@ -21,6 +21,7 @@ from fracflow.errors import NotConverged, OtherRock, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
+from fracflow.scene.advice import is_for_explicit
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
@@ -82,7 +83,9 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             state = found.state
             event = replace(event.moved_to(state, stage.at_rest), count=event.count + (found.reached == 1.0))
             absorbs = any(term.absorbs for term in model.scene.terms)
-            if line := event.is_unstable(before, state.time, absorbs, regimes.moving.damps):
+            if line := event.is_unstable(
+                before, state.time, absorbs, regimes.moving.damps or is_for_explicit(model.scene)
+            ):
                 log(marked(f"time {state.time:.9g}: {line}"))
             report = regimes.counted(found.report)
             yield Step(state, number, found.length, report, event.as_progress(waves.place), WAVES)
@@ -122,13 +125,11 @@ class _Regimes:
         self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
         self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        locates = not scene.is_unbounded and scene.method.events != "at-step-ends"
         if not scene.is_unbounded:
             stepping.explicit.log_steps(self.moving, least)
-            locates = locates and stepping.explicit.locates(self.moving, least)
             if not self.moving.explicit:
                 stepping.couplings.expect(self.moving, least)
-        events = scene.accuracy.max_events if locates else 0
+        events = most_events(stepping, self.moving, least)
         step = stepping.by(self.moving)
         step = EventLocated(step, stepping) if events else step
         by_rate = follows_slip(model, self.moving)

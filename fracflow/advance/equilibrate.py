@@ -19,6 +19,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.remarks import note
 from fracflow.scene.time_table import AT_ONCE
+from fracflow.scene.units import LENGTH
 from fracflow.solve.request import LoadStep, StepRequest
 
 
@@ -85,4 +86,5 @@ def _summary(model: Model, state: State) -> str:
     slid = comm.allreduce(int(np.any(sections.inelastic != 0.0, axis=1).sum()))
     opened = comm.allreduce(int(sections.is_open.sum()))
     farthest = state.motion.displacement.norm(PETSc.NormType.INFINITY)
-    return f"{slid} sections slid, {opened} are open, largest displacement {farthest:.3g}"
+    unit = model.scene.unit_system.behind(LENGTH)
+    return f"{slid} sections slid, {opened} are open, largest displacement {farthest:.3g}{unit}"

@@ -16,6 +16,7 @@ from fracflow._petsc import MPI
 from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.step import Stepping
 from fracflow.errors import NotConverged
+from fracflow.integrators import Stepper
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.joints import Joints
@@ -165,6 +166,13 @@ def _fall(
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
         stays = np.where(beyond, -1.0, 1.0)
     return high
+
+
+def most_events(stepping: Stepping, stepper: Stepper, dt: float) -> int:
+    """Number of events at which substeps of one step of length ``dt`` may end; 0 without inertia. Collective."""
+    scene = stepping.model.scene
+    locates = stepper.inertia and not scene.is_unbounded and scene.method.events != "at-step-ends"
+    return scene.accuracy.max_events if locates and stepping.explicit.locates(stepper, dt) else 0
 
 
 @dataclass(frozen=True)

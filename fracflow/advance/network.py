@@ -27,7 +27,7 @@ from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
-from fracflow.scene.units import FLOW_RATE
+from fracflow.scene.units import AREA, FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
@@ -57,6 +57,7 @@ class FlowNetwork:
         self._parts: Parts | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
+        # weak: a state that is done with is freed, and a new one may have its id
         self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
 
     def log_digits(self, line: str) -> None:
@@ -94,8 +95,9 @@ class FlowNetwork:
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved) + least:
                 raise SolveError(
                     f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, rates)} from the first instant in"
-                    f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
-                    " rates start at what the stage before ends with, or at 0, or give a [[well]] with a pressure there"
+                    f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}"
+                    f"{self._unit}: let flow rates start at what the stage before ends with, or at 0, or give a [[well]] with"
+                    " a pressure there"
                 )
         return found.loads
 
@@ -162,9 +164,10 @@ class FlowNetwork:
             slack = BALANCED * (size + self.model.operators.scales.length * moved * part.count)
             if not gives and abs(room) > slack and (stores or part.count > 1):
                 other = "fluid.compressibility" if problem.fluid_before is None else "minimum_hydraulic_aperture"
+                unit = self.model.scene.unit_system.behind(AREA)
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
-                    f" by {room:.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
+                    f" by {room:.3g}{unit} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
                     f" there, or let a wall move{f', or give {other}' if stores else ''}"
                 )
         return frozenset(found)
@@ -282,9 +285,13 @@ class FlowNetwork:
 
     def _sum_of(self, wells: tuple[str, ...], rates: list[float]) -> str:
         """Rates of wells and, last, of all terms, in words."""
-        flow, unit = self.model.operators.flow, self.model.scene.unit_system.behind(FLOW_RATE)
+        flow = self.model.operators.flow
         names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
-        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g}{unit}"
+        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g}{self._unit}"
+
+    @property
+    def _unit(self) -> str:
+        return self.model.scene.unit_system.behind(FLOW_RATE)
 
     def _lost(self, conduction: Conduction | None) -> Floats:
         """Rates by which fluid leaves by terms at this rank's flow nodes (q,) [volume rate per thickness]. Collective."""

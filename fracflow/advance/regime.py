@@ -124,7 +124,8 @@ class EventState:
     def is_unstable(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
         """The line of the log on an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
 
-        absorbs, damps  the scene has sides that absorb, or damps by its stepper already, which is then no remedy
+        absorbs  the scene has sides that absorb
+        damps    its stepper damps already, or is to be the explicit one: no other is a remedy then
         """
         if not before < self.begun + LONG * self.period <= now:
             return ""

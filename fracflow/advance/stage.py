@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
-from fracflow.advance.events import EventLocated
+from fracflow.advance.events import EventLocated, most_events
 from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
 from fracflow.advance.outcome import Advance, Log, Outcome
@@ -87,13 +87,6 @@ def refuse_moved(scene: Scene, number: int, progress: Mapping[str, float], time:
         )
 
 
-def _events(stepping: Stepping, stepper: Stepper, dt: float) -> int:
-    """Number of events at which substeps of one step of length ``dt`` may end; 0 without inertia. Collective."""
-    scene = stepping.model.scene
-    locates = stepper.inertia and scene.method.events != "at-step-ends" and stepping.explicit.locates(stepper, dt)
-    return scene.accuracy.max_events if locates else 0
-
-
 def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
     """Whether substeps of steps of length ``dt`` end where a prescribed value jumps. Collective.
 
@@ -101,7 +94,7 @@ def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
     """
     if not stepper.inertia:
         return dt > 0.0
-    return _events(stepping, stepper, dt) > 0 and not stepping.model.scene.jumps_anywhere
+    return most_events(stepping, stepper, dt) > 0 and not stepping.model.scene.jumps_anywhere
 
 
 def fills(model: Model, stepper: Stepper) -> bool:
@@ -121,7 +114,7 @@ def composed(
     by_rate = follows_slip(model, stepper)
     order, finest = estimator.order or by_rate, max(estimator.finest, MOST_HALVINGS * by_rate)
     prompt = estimator.of_flow or (by_rate and not stepper.inertia)  # with inertia factors of one length serve again
-    rules = Rules(most, order, _events(stepping, stepper, whole), finest, prompt)
+    rules = Rules(most, order, most_events(stepping, stepper, whole), finest, prompt)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
     step = StableSlip(step, model, JUST_OVER * 0.5**most) if is_weakening else step

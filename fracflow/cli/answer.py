@@ -16,7 +16,7 @@ from fracflow.remarks import ACT, NOTE, parted
 
 SIZES = ("cells", "displacement unknowns", "pressure unknowns", "steps")
 """Sizes that the short answer has; those of which no more than the cost follows."""
-TIMES = ("memory", "explicit steps", "each event", "slow slip", "time of")
+TIMES = ("mesh of the first event", "memory", "explicit steps", "each event", "slow slip", "time of")
 """Beginnings of the lines on cost."""
 BAD = ("cells under", "cells over")  # of an angle: shown where there are any
 VERDICTS = ("left out", "added", "not in the scene", "kept")
@@ -47,8 +47,9 @@ def short_answer(
     for line in acts:
         say(ACT + line)
     for key, value in sizes.items():
-        if key in SIZES or key.startswith(TIMES) or (key.startswith(BAD) and value):
-            say(f"{key}: {shown(value)}")
+        is_count = key in SIZES or (key == "joints" and not sizes.get("cells", 1))
+        if is_count or key.startswith(TIMES) or (key.startswith(BAD) and value):
+            say(size_line(key, value))
     bounded = [each for each in numbers if each["out_of_range"] or each["limit_text"]]
     if bounded:
         report_checks(bounded, console, "Pre-run checks that have a limit", remedies=False)
@@ -75,10 +76,15 @@ def whole_answer(
     report_checks(numbers, console)
     report_plan(plan, console)
     warnings, notes = parted(lines)
-    for line in (*(f"{key}: {shown(value)}" for key, value in sizes.items()), *(ACT + each for each in warnings)):
+    for line in (*(size_line(key, value) for key, value in sizes.items()), *(ACT + each for each in warnings)):
         console.print(line, soft_wrap=True, markup=False)
     for line in notes:
         console.print(NOTE + line, soft_wrap=True, markup=False)
+
+
+def size_line(key: str, value: Any) -> str:
+    """One of the sizes that ``set_up`` finds, in words where there are no cells."""
+    return "cells: none, the rock is not meshed" if key == "cells" and not value else f"{key}: {shown(value)}"
 
 
 def shown(value: Any) -> str:

@@ -10,6 +10,7 @@ import sys
 import warnings
 from copy import copy
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,6 +32,7 @@ os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic would look through all packages for them
 WIDTH = None if sys.stdout.isatty() else 100  # columns of tables in a file
+console_of = partial(Terminal, highlight=False, emoji=False, width=WIDTH)
 BEGIN = "Begin with: fracflow new first"
 USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(
@@ -97,7 +99,7 @@ def run_command(
     keep_imports()
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [], trust)
-    console = Terminal(quiet=comm.rank > 0, highlight=False, emoji=False, width=WIDTH)
+    console = console_of(quiet=comm.rank > 0)
     for line in advice(given):
         console.print(marked(line), soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
@@ -139,7 +141,7 @@ def resume_command(
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
-    console = Terminal(quiet=comm.rank > 0, highlight=False, emoji=False, width=WIDTH)
+    console = console_of(quiet=comm.rank > 0)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(note(f"the run in {folder} has ended; this is what it left"), soft_wrap=True, markup=False)
     run_with_progress(
@@ -206,7 +208,7 @@ def check(
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
-    from fracflow.cli.answer import shown
+    from fracflow.cli.answer import size_line
     from fracflow.mesh.split import summary
     from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
@@ -224,7 +226,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     except InputError as error:  # wells may be placed later
         typer.echo(marked(str(error)))
     for key, value in summary(split).items():
-        typer.echo(f"{key}: {shown(value)}")
+        typer.echo(size_line(key, value))
 
 
 @app.command()

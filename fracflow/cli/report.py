@@ -176,14 +176,19 @@ def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) 
     slip, length = np.nan_to_num(found.columns["largest_slip"]), found.columns["length"]
     order = np.lexsort((-length, -slip))
     for i in order[:MOST_FRACTURES]:
-        cells = (
-            f"{scales[key][0] * values[i]:.4g}" if np.isfinite(values[i]) else "-" for key, values in columns.items()
-        )
+        cells = (_cell(key, scales[key][0] * float(values[i])) for key, values in columns.items())
         table.add_row(escape(shown_plain(found.names[i])), *cells, found.state[i])
     console.print(table)
     if len(order) > MOST_FRACTURES:
         rest = f"and {len(order) - MOST_FRACTURES} more; all by: fracflow export {folder} --csv"
         console.print(rest, soft_wrap=True, markup=False)
+
+
+def _cell(key: str, value: float) -> str:
+    """A number of the table of fractures; a first slip before any time has passed, as in steady stages, is said in words."""
+    if key == "first_slip" and value == 0.0:
+        return "at time 0"
+    return f"{value:.4g}" if np.isfinite(value) else "-"
 
 
 def _largest(values: NDArray[np.float64]) -> float:

@@ -95,8 +95,8 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
     return int(ends[0])
 
 
-def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
-    """The flow node nearest to ``at``. Raises InputError if it is farther than one joint's length."""
+def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None, unit: str = "") -> FracturePlace:
+    """The flow node nearest to ``at``. Raises InputError, with ``unit`` behind lengths, if it is farther than its joint's."""
     point, chosen = coordinates(mesh, at, what), _joints_of(mesh, what, fracture)
     raw = mesh.origin[mesh.joint_bottom]
     candidates = np.unique(raw[chosen])
@@ -105,7 +105,7 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None)
     joints, ends = np.nonzero((raw == node) & chosen[:, None])
     longest = max(_length(mesh, joint) for joint in joints.tolist())
     if distance.min() > longest:
-        _refuse_far(what, point, float(distance.min()))
+        _refuse_far(what, point, f"{distance.min():.3g}{unit}")
     nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
     return FracturePlace(int(mesh.joint_flow[joints[0], ends[0]]), mesh.points[node], nodes, joints, ends)
 
@@ -125,26 +125,26 @@ def _length(mesh: SplitMesh, joint: int) -> float:
     return float(np.linalg.norm(np.subtract(*mesh.points[mesh.joint_bottom[joint, :2]])))
 
 
-def _refuse_far(what: str, point: Floats, distance: float) -> NoReturn:
-    raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance:.3g} away; move it onto one")
+def _refuse_far(what: str, point: Floats, distance: str) -> NoReturn:
+    raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance} away; move it onto one")
 
 
-def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
+def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None, unit: str = "") -> FracturePlace:
     """The point of the traces nearest to ``at``, between two nodes or at one.
 
-    Raises InputError if it is farther than the length of its joint.
+    Raises InputError, with ``unit`` behind lengths, if it is farther than the length of its joint.
     """
     point, chosen = coordinates(mesh, at, what), np.flatnonzero(_joints_of(mesh, what, fracture))
     along, distance = _feet(mesh, point, chosen)
     nearest = int(np.argmin(distance))
     joint, shares = int(chosen[nearest]), np.array([1.0 - along[nearest], along[nearest]])
     if distance[nearest] > _length(mesh, joint):
-        _refuse_far(what, point, float(distance[nearest]))
+        _refuse_far(what, point, f"{distance[nearest]:.3g}{unit}")
     foot = shares @ mesh.points[mesh.joint_bottom[joint]]
     end = int(np.argmax(shares))
     corner = mesh.points[mesh.joint_bottom[joint, end]]
     if np.linalg.norm(foot - corner) <= PLACE_ROUND_OFF * np.ptp(mesh.points, axis=0).max():
-        return on_fracture(mesh, corner, what, fracture)
+        return on_fracture(mesh, corner, what, fracture, unit)
     within = tuple(_joint_end(mesh, joint, each) for each in (0, 1))
     joints, ends = np.array([joint, joint]), np.array([0, 1])
     return FracturePlace(within[end].flow, foot, within[end].nodes, joints, ends, within, tuple(shares.tolist()))
@@ -156,13 +156,15 @@ def _joint_end(mesh: SplitMesh, joint: int, end: int) -> FracturePlace:
     return FracturePlace(flow, mesh.points[nodes[0]], nodes, np.array([joint]), np.array([end]))
 
 
-def point_along(mesh: SplitMesh, fracture: str, distance: float, what: str) -> Floats:
+def point_along(mesh: SplitMesh, fracture: str, distance: float, what: str, unit: str = "") -> Floats:
     """The point (dim,) of a fracture at a ``distance`` from its start [length]. Raises InputError where it has none."""
     chosen = _joints_of(mesh, what, fracture)
     along, ends = mesh.joint_along[chosen], mesh.points[mesh.joint_bottom[chosen]]
     low, high = along.min(axis=1), along.max(axis=1)
     if distance > high.max() * (1.0 + PLACE_ROUND_OFF):
-        raise InputError(f'{what}: at = {distance:.6g}: fracture "{fracture}" is {high.max():.6g} long; give less')
+        raise InputError(
+            f'{what}: at = {distance:.6g}{unit}: fracture "{fracture}" is {high.max():.6g}{unit} long; give less'
+        )
     found = int(np.argmin(np.maximum(low - distance, distance - high)))
     share = np.clip((distance - along[found, 0]) / (along[found, 1] - along[found, 0]), 0.0, 1.0)
     result: Floats = ends[found, 0] + share * (ends[found, 1] - ends[found, 0])
@@ -222,17 +224,17 @@ def _feet(mesh: SplitMesh, point: Floats, joints: Ints | slice) -> tuple[Floats,
     return along, np.linalg.norm(start + along[:, None] * step - point, axis=1)
 
 
-def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
+def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None, unit: str = "") -> FracturePlace | RockPlace:
     """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock. Raises InputError."""
     if on is not None and on in mesh.fractures:
-        return along_fracture(mesh, at, what, on)
+        return along_fracture(mesh, at, what, on, unit)
     if on is not None and on not in mesh.rocks:
         fractures, rocks = (", ".join(names) for names in (mesh.fractures, mesh.rocks))
         raise InputError(f'{what}: on = "{on}": neither a fracture ({fractures}) nor a rock ({rocks})')
     if on is None and len(mesh.flow_origin):
         extent = np.ptp(mesh.points, axis=0).max()
         if _feet(mesh, coordinates(mesh, at, what), slice(None))[1].min() <= 1e-9 * extent:
-            return along_fracture(mesh, at, what)
+            return along_fracture(mesh, at, what, unit=unit)
     return in_rock(mesh, at, what, on)
 
 

@@ -53,6 +53,7 @@ class GeometrySpec:
     snap               points nearer than this to each other, or to a trace or side, become one with it; of the traces
                        themselves, ``natural_snap``, if None [length]
     nodes              (n, 2) points of the fractures that are to be nodes, as those of wells [length]
+    unit               what messages write behind a length
     """
 
     domain: Floats
@@ -65,6 +66,7 @@ class GeometrySpec:
     growth: float = GROWTH
     snap: float | None = None
     nodes: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    unit: str = ""
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
@@ -146,7 +148,7 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
             " change geometry.size or size_at_fractures a little"
         )
     between = [each for each in around if each[0] != at_tips]
-    small = _small_cells(between, misses, fine, extent_of(domain))
+    small = _small_cells(between, misses, fine, extent_of(domain), geometry.unit)
     return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *small))
 
 
@@ -183,12 +185,12 @@ def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMi
     _check_traces(traces, (geometry.rock, *sides))
     snap = natural_snap(domain, traces)[0] if geometry.snap is None else float(geometry.snap)
     if snap < LEAST_SNAP * np.ptp(domain, axis=0).max():
-        raise InputError(f"geometry.snap = {snap:.3g}: is round-off in a domain of this size; raise it")
-    network = tidy(domain, sides, traces, snap, stretch=STRETCH * snap)
-    return network, snap, near_misses(network, [name for name, _ in traces], sides, snap)
+        raise InputError(f"geometry.snap = {snap:.3g}{geometry.unit}: is round-off in a domain of this size; raise it")
+    network = tidy(domain, sides, traces, snap, stretch=STRETCH * snap, unit=geometry.unit)
+    return network, snap, near_misses(network, [name for name, _ in traces], sides, snap, geometry.unit)
 
 
-def _small_cells(around: list[Source], misses: list[NearMiss], fine: float, extent: float) -> list[str]:
+def _small_cells(around: list[Source], misses: list[NearMiss], fine: float, extent: float, unit: str) -> list[str]:
     """Say where cells are far smaller than the size at fractures, and by which near miss."""
     least, places = min(around, key=lambda each: each[0], default=(fine, np.zeros((0, 2))))
     if least >= SMALL * fine:
@@ -197,7 +199,8 @@ def _small_cells(around: list[Source], misses: list[NearMiss], fine: float, exte
     at, why = places[0], "where traces are near each other or meet at a small angle"
     if beside:
         at, why = np.array(beside[0].point), f"by the near miss of {beside[0].subject}"
-    return [note(f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at {place_text(at, extent)}: {why}")]
+    beside_others = f"{least / fine:.2g} of size_at_fractures"
+    return [note(f"cells of {least:.3g}{unit}, {beside_others}, at {place_text(at, extent)}: {why}")]
 
 
 def side_names(domain: Floats) -> list[str]:

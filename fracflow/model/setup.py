@@ -227,6 +227,7 @@ def geometry_of(scene: Scene) -> GeometrySpec:
         growth=GROWTH if geometry.growth is None else geometry.growth,
         snap=geometry.snap,
         nodes=_well_places(scene),
+        unit=scene.unit_system.behind(LENGTH),
     )
 
 
@@ -254,40 +255,43 @@ def _asked(scene: Scene, where: Position | None, what: str, mesh: SplitMesh | No
         of_it = mesh.joint_along[mesh.joint_fracture == mesh.fractures.index(where.fracture)]
         distance = where.distance if where.fraction is None else where.fraction * float(of_it.max())
         assert distance is not None
-        return tuple(point_along(mesh, where.fracture, distance, what).tolist())
+        return tuple(point_along(mesh, where.fracture, distance, what, scene.unit_system.behind(LENGTH)).tolist())
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     distance = where.distance if where.fraction is None else where.fraction * along[-1]
     assert distance is not None
+    unit = scene.unit_system.behind(LENGTH)
     if distance > along[-1] * (1.0 + 1e-9):
         raise InputError(
-            f'{what}: at = {distance:.6g}: fracture "{where.fracture}" is {along[-1]:.6g} long; give less, or a fraction'
+            f'{what}: at = {distance:.6g}{unit}: fracture "{where.fracture}" is {along[-1]:.6g}{unit} long; give less,'
+            " or a fraction"
         )
     return tuple(float(np.interp(distance, along, part)) for part in points.T)
 
 
 def place(scene: Scene, mesh: SplitMesh) -> Placed:
     """Find wells, probes and points on the mesh. Raises InputError."""
+    unit = scene.unit_system.behind(LENGTH)
     asked = {
         f"{kind}.{entry.name}": _asked(scene, entry.at, f"{kind}.{entry.name}", mesh)
         for kind in ("well", "probe")
         for entry in getattr(scene, kind)
     }
     wells = {
-        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow,)
+        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at), unit).flow,)
         if w.on is None
         else tuple(_ends_on(mesh, w.name, w.on).tolist())
         for w in scene.well
         if scene.has_flow
     }
     probes = {
-        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", p.on or _fracture_of(p.at))
+        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", p.on or _fracture_of(p.at), unit)
         for p in scene.probe
     }
     refuse_missing(scene, mesh, probes)
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    unit, extent = scene.unit_system.behind(LENGTH), extent_of(mesh.points)
+    extent = extent_of(mesh.points)
     spots = {name: mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
     displaced = {name for name, spot in spots.items() if moved(mesh, asked[f"well.{name}"], spot, unit)}
     return Placed(

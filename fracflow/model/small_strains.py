@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import STRESS
 
 STRAINED = 0.1  # p/E: a tenth is no small strain
 
@@ -12,6 +13,7 @@ def beyond_small_strains(scene: Scene, pressure: float) -> str:
     stiff = [rock.youngs_modulus for rock in scene.rock.values() if rock.youngs_modulus is not None]
     if not stiff or pressure <= STRAINED * min(stiff):
         return ""
+    unit = scene.unit_system.behind(STRESS)
     rates = ", ".join(f"well.{well.name}" for well in scene.well if well.flow_rate is not None)
     remedy = (
         f"give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
@@ -19,6 +21,6 @@ def beyond_small_strains(scene: Scene, pressure: float) -> str:
         else "lower the pressures that wells and fractures prescribe"
     )
     return (
-        f"a pressure of {pressure:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
+        f"a pressure of {pressure:.3g}{unit} above that at rest strains rock of E = {min(stiff):.3g}{unit} by"
         f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless; {remedy}"
     )

@@ -20,7 +20,6 @@ from fracflow.output.drawing.network_map import (
     name_size,
     plain_numbers,
     scaled,
-    shape_of,
     write_name,
 )
 from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
@@ -73,7 +72,8 @@ def draw(folder: str | Path) -> list[Path]:
 def _overview(run: RunData) -> Figure:
     from matplotlib.figure import Figure
 
-    shape = max(shape_of(run.rock or []), FLATTEST)
+    network = _network(run)
+    shape = max(network.shape, FLATTEST)
     if shape > FLAT:
         figure = Figure(figsize=(_WIDE, float(np.clip(4.3 * shape + 2.0, 5.6, 7.0))), layout="constrained")
         left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
@@ -98,7 +98,6 @@ def _overview(run: RunData) -> Figure:
         row = _most_telling(run, _STRESSES)
         _draw_probes(pressure, run, row, f"{row.axis.capitalize()} at the probes")
     axes = left.subplots()
-    network = _network(run)
     scales = _draw_map(axes, run, network)
     handles, labels = axes.get_legend_handles_labels()
     if handles:
@@ -136,7 +135,7 @@ def _axis_of(run: RunData, row: OutputQuantity, lines: Sequence[Floats]) -> Axis
 
 
 def _network(run: RunData) -> Network:
-    """Rock, fractures, wells, probes and first slips of a run, for its map."""
+    """Rock, fractures, wells, probes and first slips of a run, for its map; the mesh of an event near the fractures."""
     found = run.fractures
     first = run.first_events()
     marks = {"well": run.wells, "probe": run.probes}
@@ -146,7 +145,8 @@ def _network(run: RunData) -> Network:
         marks["limit point"] = {"\0limit": run.limit[1]}
     if found is None:
         return Network(run.rock or [], np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [], run.units, marks)
-    return Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)
+    network = Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)
+    return network.near_fractures() if run.rock and run.was_unmeshed else network
 
 
 def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:

@@ -146,6 +146,11 @@ class RunData:
         """Whether the histories continue after the last written fields."""
         return self.fractures is not None and self.fractures.step < len(self.history["time"]) - 1
 
+    @property
+    def was_unmeshed(self) -> bool:
+        """Whether rock may have had no mesh until an event needed one."""
+        return "energy/change_of_rock" in self.history
+
     def slipped_since(self) -> list[str]:
         """Names of the fractures that began to slip after the last fields that were written."""
         since = self.fractures.time if self.fractures is not None else -np.inf

@@ -16,7 +16,7 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.setup import on_root
 from fracflow.reduction.mesh_size import SAME, WorstCell, needs, typical_length, worst_of
-from fracflow.scene.advice import GENTLE
+from fracflow.scene.advice import GENTLE, is_for_explicit
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
@@ -88,11 +88,12 @@ def _keeping_waves(view: CheckInput, far: float) -> Iterator[str]:
     fine = typical_length(view.joints.length)
     if far > CARRIED * fine:
         unit = view.unit(LENGTH)
+        stepper = 'set method.stepper = "generalised-alpha" with rho_infinity = 0.5, which damps them, or '
         yield (
             f"mesh: a tenth of the rock has cells of {far:.3g}{unit} and more, over {CARRIED:g} times the joints of"
             f" {fine:.3g}{unit}: shorter waves of a strength that drops at once stay around the fractures, and events take"
-            ' several times more steps: set method.stepper = "generalised-alpha" with rho_infinity = 0.5, which damps them, or'
-            f" have cells below {CARRIED * fine:.3g}{unit}"
+            f" several times more steps: {'' if is_for_explicit(scene) else stepper}have cells below"
+            f" {CARRIED * fine:.3g}{unit}"
         )
 
 

@@ -55,6 +55,7 @@ def advice(scene: Scene) -> list[str]:
         *degrees(scene),
         *_idle(scene),
         *_timeless(scene),
+        *_without_flow(scene),
         *_shut_wells(scene),
         *_of_one_length(scene),
         *_reflecting(scene),
@@ -152,6 +153,18 @@ def _of_one_length(scene: Scene) -> Iterator[str]:
         )
 
 
+def _without_flow(scene: Scene) -> Iterator[str]:
+    """A pressure that initial tractions count on, where a zero leaves the flow out, and all pressures with it."""
+    fluid = scene.fluid
+    if fluid is None or scene.has_flow or not (fluid.initial_pressure or fluid.pressure_gradient):
+        return
+    zero = next(key for key in ("viscosity", "specific_weight", "density") if getattr(fluid, key) == 0.0)
+    yield (
+        f"fluid.{zero} = 0 leaves the flow out: nothing carries fluid.initial_pressure, which initial tractions of fractures"
+        f" count on: give a fluid.{zero} above 0, or leave [fluid] out and give effective stresses"
+    )
+
+
 def _reflecting(scene: Scene) -> Iterator[str]:
     """Sides that absorb nothing since supports hold them, and events whose waves cannot leave."""
     if not scene.has_dynamics:
@@ -163,15 +176,18 @@ def _reflecting(scene: Scene) -> Iterator[str]:
     damps = bool(absorbing - held) or stepper_from(scene.method.stepper, scene.method).damps
     if damps or all(stage.kind != "auto" for stage in scene.stage):
         return
+    stepper = 'method.stepper = "generalised-alpha" with a rho_infinity below 1'
     if scene.is_unbounded:  # its events get a mesh with absorbing sides
-        yield (
-            "waves shorter than the cells that events get stay around the fractures, and an event may take several times more"
-            ' steps: give method.stepper = "generalised-alpha" with a rho_infinity below 1, which damps them'
-        )
+        if not is_for_explicit(scene):
+            yield (
+                "waves shorter than the cells that events get stay around the fractures, and an event may take several times"
+                f" more steps: give {stepper}, which damps them"
+            )
     else:
+        other = "" if is_for_explicit(scene) else f", or {stepper}, for waves that the steps do not resolve"
         yield (
-            "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"
-            ' or method.stepper = "generalised-alpha" with a rho_infinity below 1, for waves that the steps do not resolve'
+            "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides"
+            f"{other}"
         )
 
 
@@ -195,42 +211,59 @@ def _too_long(scene: Scene) -> Iterator[str]:
         )
 
 
+def is_for_explicit(scene: Scene) -> bool:
+    """Whether ruptures, or pressures that jump, ask for explicit steps with damping at faults: no other rule is named then."""
+    return bool(_ruptures(scene) or _sudden(scene))
+
+
+def _is_damped(scene: Scene) -> bool:
+    """Whether the rule damps cells at faults."""
+    return scene.method.stepper == "explicit" and scene.method.fault_damping != 0.0
+
+
+def _damping(scene: Scene) -> str:
+    """The keys that damp cells at faults, with the rock that explicit steps need."""
+    if scene.method.stepper == "explicit":
+        return 'method.fault_damping = "auto"'
+    box = ", with geometry.domain = [xmin, ymin, xmax, ymax] and [[absorbing]] sides" if scene.is_unbounded else ""
+    return f'method.stepper = "explicit", which damps it{box}'
+
+
+def _ruptures(scene: Scene) -> list[str]:
+    """Fractures whose strength falls with slip, and whose walls [geometry] does not mesh as mirror images."""
+    if scene.geometry is None or scene.model == "report" or not scene.has_dynamics:
+        return []
+    return [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].weakens_over]
+
+
 def _ringing(scene: Scene) -> Iterator[str]:
-    """Ruptures by a rule that damps no cells at faults, whose walls [geometry] does not mesh as mirror images."""
-    geometry, method = scene.geometry, scene.method
-    ruptures = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].weakens_over]
-    unlike = geometry is not None and bool(ruptures)
-    damps = method.stepper == "explicit" and method.fault_damping != 0.0
-    if unlike and not damps and scene.model != "report" and scene.has_dynamics:
-        explicit = method.stepper == "explicit"
-        remedy = "method.fault_damping above 0" if explicit else 'method.stepper = "explicit", which damps it'
-        if scene.is_unbounded:
-            remedy = f"{remedy}, with geometry.domain = [xmin, ymin, xmax, ymax] and [[absorbing]] sides"
+    """Ruptures on such walls by a rule that damps no cells at faults."""
+    ruptures = _ruptures(scene)
+    if ruptures and not _is_damped(scene):
         yield (
             f"fracture.{ruptures[0]}: behind a rupture on walls that are not meshed as mirror images the normal traction rings"
-            f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
-            " that mirrors itself in the fault"
+            f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {_damping(scene)}, or"
+            " a [mesh] that mirrors itself in the fault"
         )
+
+
+def _sudden(scene: Scene) -> list[str]:
+    """Fractures that slide, and whose prescribed pressure changes within a step."""
+    if scene.model == "report" or not scene.has_dynamics or all(rock.rigid for rock in scene.rock.values()):
+        return []
+    steps = [(stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step) or 0.0 for stage in scene.stage]
+    quick = [table.pressure is not None and table.pressure.is_quick(max(steps)) for table in scene.fracture.values()]
+    slides = [scene.has_flow and JOINT_LAWS[table.law].slides for table in scene.fracture.values()]
+    return [name for name, *both in zip(scene.fracture, quick, slides, strict=True) if all(both)]
 
 
 def _let_go(scene: Scene) -> Iterator[str]:
     """Fractures that lose strength at once, by a rule that damps no cells at faults."""
-    method = scene.method
-    if scene.model == "report" or not scene.has_dynamics or not any(not rock.rigid for rock in scene.rock.values()):
-        return
-    if method.stepper == "explicit" and method.fault_damping != 0.0:
-        return
-    remedy = "" if method.stepper == "explicit" else 'method.stepper = "explicit" with '
-    steps = [(stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step) or 0.0 for stage in scene.stage]
-    for name, table in scene.fracture.items():
-        slides = JOINT_LAWS[table.law].slides
-        pressure = table.pressure if scene.has_flow and slides else None
-        if pressure is not None and pressure.is_quick(max(steps)):
-            yield (
-                f"fracture.{name}.pressure changes within a step: where it takes strength away at once, walls come too far and"
-                " stick there, and slip comes out too large, by 20 % and more, whatever the mesh: use"
-                f' {remedy}method.fault_damping = "auto"'
-            )
+    for name in [] if _is_damped(scene) else _sudden(scene):
+        yield (
+            f"fracture.{name}.pressure changes within a step: where it takes strength away at once, walls come too far and"
+            f" stick there, and slip comes out too large, by 20 % and more, whatever the mesh: use {_damping(scene)}"
+        )
 
 
 def _bouncing(scene: Scene) -> Iterator[str]:

@@ -106,7 +106,9 @@ def check_dilation(dilates: bool, has_distance: bool, steepest: float, friction:
     """
     if dilates and math.tan(math.radians(steepest)) > friction:
         most = math.degrees(math.atan(friction))
-        text = f"must be at most the angle of friction, {most:.3g}: steeper walls would give energy as they slip"
+        text = (
+            f"must be at most the angle of friction, {most:.3g} degrees: steeper walls would give energy as they slip"
+        )
         raise fault(f"out of range; {text}", key="dilation_angle_deg")
     if dilates and not has_distance:
         raise fault("missing; dilation_angle_deg needs it: give the slip that wears the walls", key="dilation_distance")

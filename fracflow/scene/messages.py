@@ -14,6 +14,7 @@ from fracflow.scene.meanings import meanings
 from fracflow.scene.toml import write_value
 
 Path = tuple[int | str, ...]
+OF_TRACES = frozenset({"trace", "traces", "points", "coordinates", "line"})  # that are written into [fracture.NAME]
 MOST_LETTERS, MOST_NAMES = 100, 300  # that a misspelt name is compared by, and with
 
 
@@ -71,6 +72,8 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
     kind, context = error["type"], error.get("ctx", {})
     if kind == "fracflow":
         return str(context["text"])
+    if kind == "extra_forbidden" and len(path) == 3 and path[0] == "fracture" and path[2] in OF_TRACES:
+        return f"unknown key; a trace is an entry of geometry.fracture: {_as_trace(str(path[1]), error['input'])}"
     if kind == "extra_forbidden":
         return f"unknown key; {nearest(str(path[-1]), _model_at(model, path[:-1]).model_fields)}"
     if kind == "missing":
@@ -100,6 +103,13 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         tables = _model_at(model, path) is not BaseModel
         return f"must be an array of tables [[{'.'.join(map(str, path))}]]" if tables else "must be a list"
     return simple.get(kind, " ".join(error["msg"].split()).lower())
+
+
+def _as_trace(name: str, points: object) -> str:
+    """The line that states the trace of a fracture, with the points given if they fit in it."""
+    shown = " ".join(write_value(points).split()) if isinstance(points, list) else ""
+    shown = shown if shown.startswith("[[") and len(shown) <= 60 else "[[x1, y1], [x2, y2]]"
+    return f"geometry.fracture = [{{name = {write_value(name[:MOST_LETTERS])}, points = {shown}}}]"
 
 
 def _model_at(model: Any, path: Path) -> type[BaseModel]:

@@ -21,6 +21,7 @@ else:
 LARGEST = 8 << 20  # bytes of a scene, or of a table beside it: a hundred thousand rows of tables
 MOST_DOTS = 2000  # in a value of --set, but for those of plain numbers
 DEEPEST = 50  # tables and lists inside each other, or keys joined by dots
+_POINT_FIRST = re.compile(r"^([-+]?)\.(?=\d)")  # of a number, which TOML does not take
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _DOT = re.compile(r"(?<!\.)\.(?!\.)")
 _PLAIN_NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?![\d.])")
@@ -106,12 +107,13 @@ def override(data: dict[str, Any], setting: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Read the value of ``--set`` as TOML; what is not TOML is a string."""
+    """Read the value of ``--set`` as TOML, or as a number such as .5; what is neither is a string."""
+    text = _POINT_FIRST.sub(r"\g<1>0.", text.strip())
     try:
-        values = tomllib.loads(f"value = {text.strip()}") if _dots(text) < MOST_DOTS else {}
+        values = tomllib.loads(f"value = {text}") if _dots(text) < MOST_DOTS else {}
     except (ValueError, RecursionError):  # of no TOML, and of a whole number with thousands of digits
-        return text.strip()
-    return values["value"] if len(values) == 1 and not _is_deeper(values, DEEPEST) else text.strip()
+        return text
+    return values["value"] if len(values) == 1 and not _is_deeper(values, DEEPEST) else text
 
 
 def _index(entries: list[Any], key: str, path: str, setting: str) -> int:

@@ -13,7 +13,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
 from fracflow.remarks import marked, note
-from fracflow.scene.units import STRESS
+from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.recorder import Recorder
 
@@ -70,7 +70,7 @@ class Rocks:
         recorder.log(
             note(
                 f"{rock}; at the same jumps its stress on the fractures differs by {mean} in the mean, {most} at the most,"
-                f" which is frozen; its strain energy by {found.energy:.3g} per thickness, {share:.2g} of it:"
+                f" which is frozen; its strain energy by {shown(ENERGY, found.energy, units, 3)}, {share:.2g} of it:"
                 " energy/change_of_rock"
             )
         )

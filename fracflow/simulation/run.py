@@ -114,8 +114,9 @@ def _begun(
         for line in (*near_ones(notes), *whole.placed.apart):
             say(line)
     sizes = model.operators.blocks.sizes
+    cells = "rock without cells" if model.scene.is_unbounded else f"{sizes.cells} cells"
     recorder.log(
-        f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
+        f"fracflow {__version__}, {comm.size} ranks: {cells}, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
     for line in (*advice(scene), *notes, *whole.placed.notes):

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _launch import without_ranks
 
 from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.output.fields import read_mesh
@@ -97,7 +98,7 @@ def complaints(said: str, most: int = 1) -> str:
 
 def environment(**more: object) -> dict[str, str]:
     """The environment without what a rank has in it, and with the way to these modules."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE", "KILLS_"))}
+    kept = without_ranks("KILLS_")
     here = Path(__file__).resolve().parent
     ways = [str(here), str(here.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**kept, "PYTHONPATH": os.pathsep.join(ways), **{key: str(value) for key, value in more.items()}}

@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from _launch import without_ranks
 from _meta_compare import Record
 from _meta_scenes import Case
 
@@ -148,7 +149,7 @@ def on_ranks(folders: Sequence[Path], ranks: int, limit: float) -> None:
 
 def _without_ranks() -> dict[str, str]:
     """The environment without what a rank has in it, and with the way to these modules."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    kept = without_ranks()
     here = Path(__file__).parent
     ways = [str(here), str(here.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**kept, "PYTHONPATH": os.pathsep.join(ways)}

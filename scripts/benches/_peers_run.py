@@ -12,6 +12,7 @@ from string import Template
 
 import meshio
 import numpy as np
+from _launch import without_ranks
 from _peers_cases import Found, Problem
 from _peers_grids import write_msh, write_vtu
 from grids import Floats
@@ -57,8 +58,7 @@ def environment(folder: Path) -> Path:
 def measured(command: list[str], folder: Path) -> Cost:
     """Run a command alone, on one thread. Raises Failed."""
     # Python that may not keep what it compiles would compile all of fracflow again in every run
-    unwanted = ("OMPI_COMM", "PMIX", "OMPI_UNIVERSE", "PYTHONDONTWRITEBYTECODE")
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(unwanted)}
+    clean = without_ranks("PYTHONDONTWRITEBYTECODE")
     with (folder / "said.txt").open("w", encoding="utf-8") as said:
         child = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
 import shlex
 import subprocess
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _launch import without_ranks
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from sheets import Check, judge, write_csv
@@ -94,7 +94,7 @@ def measure(name: str, cells: int, joints: int, steps: int, folder: Path) -> dic
     """All steps by one method, in a process of its own."""
     print(f"{name} ...", file=sys.stderr, flush=True)
     given = [name, str(cells), str(joints), str(steps), str(folder)]
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     subprocess.run([sys.executable, __file__, "--worker", *given], check=True, env=clean)
     result: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     return result

@@ -13,7 +13,6 @@ import argparse
 import csv
 import itertools
 import json
-import os
 import shlex
 import subprocess
 import sys
@@ -21,6 +20,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from _launch import without_ranks
 
 sys.path.insert(0, str(Path(__file__).parent))
 from size import machine
@@ -152,7 +153,7 @@ def watch(newton: Any) -> list[tuple[int, float]]:
 
 def measure(unknowns: int, ranks: int, out: Path, apertures: list[float], blocks: list[str]) -> dict[str, Any]:
     """All cases of a size, each fault in processes of its own."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     cases, versions = [], {}
     for fault, drained in itertools.product(FAULTS, (True, False)):
         print(

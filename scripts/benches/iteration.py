@@ -15,11 +15,12 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from _launch import without_ranks
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(1, str(Path(__file__).parents[1]))
@@ -74,9 +75,7 @@ def worker(scene: str, folder: str, result: str, *overrides: str) -> None:
 
 def measure(scene: Path, ranks: int, overrides: list[str]) -> dict[str, dict[str, float]]:
     """One run in processes of its own; what ``worker`` found."""
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
-    }
+    clean = without_ranks()
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result.json"
         command = [sys.executable, __file__, "--worker", str(scene), f"{folder}/run", str(result), *overrides]

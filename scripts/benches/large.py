@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shlex
 import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+
+from _launch import without_ranks
 
 sys.path.insert(0, str(Path(__file__).parent))
 import _network as network
@@ -130,7 +131,7 @@ def measure(way: str, scene: Path, ranks: int, stop: int, out: Path, samples: bo
     words = [sys.executable, __file__, "--worker", way, str(scene), str(folder), str(stop), str(result)]
     taken = result.with_suffix(".perf")
     words = sampled(words, taken) if samples else words
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     subprocess.run(["mpirun", "--oversubscribe", "-n", str(ranks), *words], check=True, env=clean)
     return json.loads(result.read_text(encoding="utf-8")) | ({"samples": seconds(taken, ranks)} if samples else {})
 

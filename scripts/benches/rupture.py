@@ -22,6 +22,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from _launch import without_ranks
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 from sheets import NODE_COLOURS, STYLE, save, sheet  # noqa: E402
@@ -95,7 +96,7 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
 
     folder, dt = out / f"{stepper}-{side:g}", time_step_of(stepper, side)
     scene = write_scene(folder, side)
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     command = [
         "mpirun",
         "-n",

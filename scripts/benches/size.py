@@ -18,6 +18,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from _launch import without_ranks
+
 sys.path.insert(0, str(Path(__file__).parent))
 import _network as network
 from _stopwatch import Stopwatch
@@ -87,9 +89,7 @@ def measure(cells: int, ranks: int, out: Path, options: list[str], overrides: li
     result = out / f"network-{cells}.json"
     result.unlink(missing_ok=True)
     command = [sys.executable, __file__, "--worker", str(scene), str(out / f"run-{cells}"), str(result), *overrides]
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
-    }
+    clean = without_ranks()
     subprocess.run(
         ["mpirun", "-n", str(ranks), *command], check=True, env=clean | {"PETSC_OPTIONS": shlex.join(options)}
     )

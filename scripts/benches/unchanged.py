@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from _launch import without_ranks
 from rich.console import Console
 from rich.table import Table
 
@@ -66,7 +66,7 @@ def scenes_of(meshes: Path, numbers: int, into: Path) -> Iterator[tuple[str, Pat
 
 def run(job: Job, into: Path) -> None:
     """Run a scene through the command line, and leave what is kept of it in a folder."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    environment = without_ranks()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         launcher = ["mpirun", "--oversubscribe", "-n", str(job.ranks)] if job.ranks > 1 else []

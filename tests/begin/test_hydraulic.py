@@ -45,7 +45,7 @@ APART = [
 ]
 NEAR = [
     "near misses: 1 do not meet, by no more than 5 times geometry.snap",
-    'near miss: fracture "Anna": end (50, 50) is 0.4 short of fracture "Clara" at (50.4, 50); geometry.snap = 0.4 joins them',
+    'near miss: fracture "Anna": end (50, 50) is 0.4 m short of fracture "Clara" at (50.4, 50); geometry.snap = 0.4 joins them',
 ]
 
 

@@ -1,19 +1,19 @@
 """`scripts/bench condensed` on a small mesh: its bars on displacements, its iterations, and that a missed bar is told."""
 
 import csv
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.serial
 def test_small_bench_keeps_its_bars_and_tells_a_missed_one(tmp_path):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     done = subprocess.run(
         [sys.executable, ROOT / "scripts/benches/condensed.py", "24", "16", "5", "--faster", "1e9", "--out", tmp_path],
         capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL,

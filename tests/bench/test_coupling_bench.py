@@ -1,18 +1,18 @@
 """`scripts/bench coupling` on a small mesh: every kind of case, its bars, and that a missed one is told."""
 
 import csv
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 
 
 def bench(folder, *arguments, **environment):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     done = subprocess.run(
         [sys.executable, ROOT / "scripts/benches/coupling.py", *arguments, "--out", folder],
         capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL,

@@ -1,12 +1,12 @@
 """`scripts/bench iteration` on a small scene: its parts add up, and a bar that is missed ends it with 1."""
 
 import csv
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 def test_parts_of_an_iteration_add_up(tmp_path):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     scene = ROOT / "meshes/pressurised_crack/scene.toml"
     command = [sys.executable, ROOT / "scripts/benches/iteration.py", scene, "--repeats", "1", "--most", "1e-9"]
     done = subprocess.run(

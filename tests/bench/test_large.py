@@ -1,7 +1,6 @@
 """`scripts/bench large` on a small mesh: its parts, the resume, sliding, and the fit; no times or sizes are asserted."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import large
 import messages
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.starts_ranks
 def test_small_run_in_all_ways(tmp_path):
     found, facts = list[dict](), {}
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     for ranks, ways in (("2", ["explicit", "resume"]), ("1", ["quasi-static"])):
         words = [
             sys.executable,

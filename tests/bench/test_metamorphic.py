@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 BENCHES = Path(__file__).parents[2] / "scripts" / "benches"
 FEW = ["--scenes", "2", "--seed", "12"]  # of them some slip, and none takes long
@@ -27,7 +28,7 @@ raise SystemExit(metamorphic.main())
 
 
 def bench(*arguments):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     way = os.pathsep.join(map(str, (BENCHES.parents[1], BENCHES.parent, BENCHES)))
     return subprocess.run(
         [sys.executable, *map(str, arguments)], capture_output=True, text=True, timeout=300, stdin=subprocess.DEVNULL,

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 PARTS = {
@@ -22,7 +22,7 @@ SUMS = {"all outside the solve", "whole"}
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 def test_small_size(tmp_path):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     command = [sys.executable, ROOT / "scripts/benches/size.py", "1000", "--ranks", "2", "--out", tmp_path]
     done = subprocess.run(
         command,

@@ -1,12 +1,12 @@
 """`scripts/bench sliding`: rows of one step, of all kinds, on a small mesh take few iterations."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 FEW = 18  # Krylov iterations of the worst linear solve; they are 6 to 16, most in steps of 1e9 s, and 30 are asked
@@ -15,7 +15,7 @@ FEW = 18  # Krylov iterations of the worst linear solve; they are 6 to 16, most 
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 def test_rows_of_all_kinds_take_few_iterations(tmp_path):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     rows = "1 7 9 13 16 17 21 31".split()  # soft, stiff, wide, tight, unlike, brief, long, many fractures
     options = ["--unknowns", "2000", "--ways", "multigrid", "--rows", *rows, "--out", tmp_path]
     done = subprocess.run(

@@ -48,3 +48,16 @@ def test_tables_fit_and_lose_nothing(path):
     acts, notes = ([k for k, line in enumerate(answer) if re.match(mark, line)] for mark in (r"! \S", "note: "))
     assert len(answer) <= 40 and answer[0].startswith(f"It: can be run; {len(acts) or 'nothing'} ")
     assert acts == [*range(1, 1 + len(acts))] and all(k > len(acts) for k in notes)
+
+
+def test_rock_without_cells_has_joints_and_the_mesh_of_its_events():
+    sizes = {"cells": 0, "nodes": 28, "joints": 14, "steps": 3, "mesh of the first event, about": "1.8e+03 cells"}
+    said = printed(partial(short_answer, "It", sizes, [], []), [], NARROW).splitlines()
+    shown = [
+        "cells: none, the rock is not meshed",
+        "joints: 14",
+        "steps: 3",
+        "mesh of the first event, about: 1.8e+03 cells",
+    ]
+    assert said[1:5] == shown
+    assert "joints" not in printed(partial(short_answer, "It", {**sizes, "cells": 60}, [], []), [], NARROW)

@@ -1,6 +1,7 @@
 """The table by fracture: means and largest values along each, its moment, and how it stands."""
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,12 @@ def test_a_row_a_fracture_on_the_terminal_and_as_csv(folder):
     rows = list(csv.DictReader(table.open()))
     assert [row["fracture"] for row in rows] == found.names and float(rows[0]["length [m]"]) == pytest.approx(60.0)
     assert float(rows[0]["moment [N m/m]"]) == columns["moment"][0]
+    events = folder / "events.csv"
+    head, *rows = csv.reader(events.open())
+    rows = [[cell if key != "start" else "0.0" for key, cell in zip(head, row, strict=True)] for row in rows]
+    events.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    report(folder, console)
+    assert re.search(r"at time 0 +slips", console.export_text())
 
 
 def test_a_table_without_scene_and_mesh_lacks_moments_only(folder):

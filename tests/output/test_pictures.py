@@ -165,6 +165,20 @@ def test_a_panel_shows_what_changes(tmp_path):
     assert thin.bbox.width > 0.8 * figures[1].bbox.width and wide.bbox.width < 0.6 * figures[0].bbox.width
 
 
+def test_the_mesh_of_an_event_is_shown_near_the_fractures(tmp_path):
+    """All fractures and marks, with a quarter of their extent around them, and no rock far away; meshed rock is shown whole."""
+    data = load_run_data(make_run(tmp_path))
+    far = [(cell - 50.0) * 10.0 for cell in data.rock]
+    near = replace(data.fractures, points=np.clip(data.fractures.points, 10.0, 90.0))
+    unmeshed = {**data.history, "energy/change_of_rock": np.zeros(STEPS)}
+    runs = [replace(data, rock=far, fractures=near, history=each, wells={}) for each in (data.history, unmeshed)]
+    with styled():
+        shown = [_overview(run).axes[-2] for run in runs]
+    whole, zoomed = (np.array([*axes.get_xlim(), *axes.get_ylim()]) for axes in shown)
+    assert whole == pytest.approx([-530.0, 530.0, -530.0, 530.0])
+    assert zoomed == pytest.approx([-10.0, 110.0, -10.0, 110.0])
+
+
 def test_a_long_title_goes_on_below(tmp_path):
     data = load_run_data(make_run(tmp_path))
     with styled():

@@ -1,11 +1,11 @@
 """A rank that meets an error which the others do not meet ends them all, with its line, and does not hang."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
@@ -23,7 +23,7 @@ MPI.COMM_WORLD.barrier()
 
 
 def started(program):
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    kept = without_ranks()
     environment = {**kept, "PYTHONPATH": str(Path(__file__).parents[2])}
     words = ["mpirun", "-n", "2", sys.executable, "-c", program]
     return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60)

@@ -50,8 +50,8 @@ def test_flow_through_two_fractures_of_a_table(shared_tmp, comm, cells):
     run(scene, shared_tmp / "out", comm)
     comm.barrier()
     log = [bare(line) for line in (shared_tmp / "out" / "log.txt").read_text(encoding="utf-8").splitlines()]
-    assert 'fracture "Anna": end (2, 1) moved by 0.0141 to (2.01, 1.01) onto fracture "Clara"' in log
-    assert 'fracture "Bruno": cut at (2, 4), where it leaves the domain; 5 is left out' in log
+    assert 'fracture "Anna": end (2, 1) moved by 0.0141 m to (2.01, 1.01) onto fracture "Clara"' in log
+    assert 'fracture "Bruno": cut at (2, 4), where it leaves the domain; 5 m is left out' in log
     length = np.hypot([2.01, 1.99], [0.01, 0.99])
     rate = 1.5e5 / np.sum(12e-3 * length / np.array([1e-4, 2e-4]) ** 3)
     history = read_history(shared_tmp / "out" / "history.h5")

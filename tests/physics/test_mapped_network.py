@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from _launch import without_ranks
 
 from fracflow.output import read_events, read_history
 from fracflow.scene.scene import load
@@ -53,9 +53,7 @@ def test_injection_sets_off_an_event_on_its_trace(folder):
 
 @pytest.mark.starts_ranks
 def test_two_ranks_have_the_same_catalogue(folder):
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
-    }
+    clean = without_ranks()
     words = [sys.executable, "-m", "fracflow", "run", str(folder / "scene.toml"), "-o", str(folder / "two")]
     sets = [word for each in SHORT for word in ("--set", each)]
     subprocess.run(["mpirun", "-n", "2", *words, *sets], check=True, capture_output=True, env=clean, timeout=300)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from _launch import without_ranks
 from laws.spring_slider import onsets, reference
 
 from fracflow._petsc import MPI
@@ -170,9 +170,7 @@ def test_slip_that_waves_limit_is_told_where_there_is_no_inertia(folder):
 
 @pytest.mark.starts_ranks
 def test_two_ranks_agree(folder):
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
-    }
+    clean = without_ranks()
     words = [sys.executable, "-m", "fracflow", "run", str(folder / "slow.toml"), "-o", str(folder / "two")]
     words += ["--set", "stage.load.end=64"]
     subprocess.run(["mpirun", "-n", "2", *words], check=True, capture_output=True, env=clean, timeout=300)

@@ -303,9 +303,13 @@ def test_joints_shorter_than_tips_need_have_no_size_of_tips(tmp_path):
     with pytest.raises(InputError, match=r"method\.stepper.*no cells that have any.*generalised-alpha"):
         load(file, ["rock.rock.density=2700", "method.stepper=explicit"])
     weakens = ["law=slip-weakening", "dynamic_friction_coefficient=0.4", "slip_weakening_distance=1e-3"]
-    of_law = load(file, ["rock.rock.density=2700", *(f"fracture.default.{each}" for each in weakens)])
-    (told,) = [line for line in advice(of_law) if "explicit" in line]
-    assert "with geometry.domain = [xmin" in told
+    of_law = ["rock.rock.density=2700", *(f"fracture.default.{each}" for each in weakens)]
+    quick = ["rock.rock.density=2700", "fracture.alone.pressure=[[0, 0], [1, 1e5]]", "stage.0.dynamic_time_step=0.1"]
+    for given in (of_law, quick):  # one rule, and the mesh that it needs
+        (told,) = [line for line in advice(load(file, given)) if "method.stepper" in line]
+        assert "explicit" in told and "with geometry.domain = [xmin" in told
+    bounded = advice(load(file, [*of_law, "geometry.domain=[0, 0, 1200, 800]", "load=[]"]))
+    assert any("[[absorbing]]" in line for line in bounded) and not any("generalised-alpha" in line for line in bounded)
     proposed = with_sizes(scene, MPI.COMM_SELF)
     (told,) = [line for line in proposed.notes if "E'/k_s / 4 = 0.667" in line]
     assert "size_at_fractures" in told and "2000 joints, the most that are proposed, do not reach it" in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _launch import without_ranks
 
 from fracflow.errors import InputError
 from fracflow.model.state import COUNTS as COUNTS_OF_STEPS
@@ -35,7 +35,7 @@ COUNTS = {"step/factorisations"}  # the first step after a resume has no old fac
 
 
 def environment():
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    kept = without_ranks()
     return {**kept, "PYTHONPATH": str(ROOT)}
 
 

@@ -149,7 +149,7 @@ SCENES = {
     ),
     "a trace of hardly any length": (
         scene("[4, 2]]", "[1, 2.01]]", "size = 2", "size = 2\nsnap = 0.1"),
-        'fracture "fault": is shorter than snap = 0.1; remove it',
+        'fracture "fault": is shorter than snap = 0.1 m; remove it',
     ),
     "a trace outside": (
         scene("[[1, 2], [4,", "[[10, 2], [14,"),
@@ -157,11 +157,11 @@ SCENES = {
     ),
     "a trace along a side": (
         scene("[[1, 2], [4, 2]]", "[[0, 0], [4, 0]]"),
-        'fracture "fault": runs along side south for 4',
+        'fracture "fault": runs along side south for 4 m',
     ),
     "a well off the fracture": (
         placed(END, "[1, 3.9]"),
-        "well.well: at = [1.0, 3.9]: the nearest fracture is 2.15 away; move it",
+        "well.well: at = [1.0, 3.9]: the nearest fracture is 2.15 m away; move it",
     ),
     "a well on no fracture": (
         placed('"fault", end', '"fold", end'),

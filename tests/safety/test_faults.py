@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _launch import without_ranks
 from rich.console import Console
 
 from fracflow._petsc import MPI
@@ -424,7 +425,7 @@ cli.main()
 
 def program(fault, folder, ranks):
     sets = [word for each in SETTINGS for word in ("--set", each)]
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    kept = without_ranks()
     text = PROGRAM.format(fault=fault, scene=SCENE, folder=str(folder), sets=sets)
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     words, clean = [*launcher, sys.executable, "-c", text], {**kept, "PYTHONPATH": str(ROOT)}

@@ -14,6 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from _launch import without_ranks
 from hypothesis import given
 from hypothesis import strategies as st
 from resealed import changed_notes, resealed
@@ -357,7 +358,7 @@ def test_no_other_part_of_the_program_reads_such_files():
 @pytest.mark.starts_ranks
 def test_ranks_refuse_it_together(folder):
     flip(folder / "checkpoint.h5", "displacement")
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    kept = without_ranks()
     words = ["mpirun", "-n", "2", sys.executable, "-m", "fracflow", "resume", str(folder)]
     done = subprocess.run(words, env={**kept, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2, done.stderr

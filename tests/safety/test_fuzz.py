@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from _fuzz_cases import COMMAND, FRESH, GMSH, PROCESS, SHARES, kind_and_way
 from _fuzz_judge import Box, inside, of_command
+from _launch import without_ranks
 
 from fracflow.errors import LONGEST, InputError
 from fracflow.mesh.files.geo_check import check_geo
@@ -42,7 +43,7 @@ raise SystemExit(fuzz.main(sys.argv[1:]))
 
 
 def bench(*arguments):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     way = os.pathsep.join(map(str, (BENCHES.parents[1], BENCHES.parent, BENCHES)))
     return subprocess.run(
         [sys.executable, *map(str, arguments)], capture_output=True, text=True, timeout=300, stdin=subprocess.DEVNULL,

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 BENCHES = Path(__file__).parents[2] / "scripts" / "benches"
 COMPILER = shutil.which("cc")
@@ -14,7 +15,7 @@ pytestmark = [pytest.mark.serial, pytest.mark.starts_ranks]
 
 
 def bench(*arguments):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
+    clean = without_ranks()
     way = os.pathsep.join(map(str, (BENCHES.parents[1], BENCHES)))
     done = subprocess.run(
         [sys.executable, BENCHES / "kills.py", "--only", "block", *map(str, arguments)],

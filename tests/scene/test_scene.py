@@ -152,7 +152,8 @@ def test_names_paths_and_flow(make, tmp_path):
     assert scene.fracture_named("fault").friction == pytest.approx(math.tan(math.pi / 6))
     assert scene.probe[0].at == FractureEnd("fault", "start") and scene.well[0].at == (0.0, 1.0)
     assert scene.has_flow and scene.has_dynamics
-    assert not make("fluid.viscosity=0").has_flow
+    dry = make("fluid.viscosity=0", "fluid.initial_pressure=1e5")
+    assert not dry.has_flow and any("nothing carries fluid.initial_pressure" in line for line in advice(dry))
     assert not make("fluid.specific_weight=0").has_flow
     assert scene.stage[0].takes_no_time and scene.stage[1].step_count(0.0) == 300
 

@@ -9,6 +9,7 @@ from fracflow.advance.substeps import MOST_UNSOLVED, InSmallStrains, Rules, Subs
 from fracflow.errors import NotConverged, SolveError, Unsolved
 from fracflow.model.state import StepReport
 from fracflow.scene.materials import Rock
+from fracflow.scene.units import UnitSystem
 from fracflow.solve.request import LoadStep
 
 pytestmark = pytest.mark.serial
@@ -95,13 +96,14 @@ def test_a_stage_that_no_solver_solves_beyond_small_strains_ends(failure, over, 
 
     state, scene = Fake(0.0), Fake(0.0)
     scene.rock, scene.well = {"rock": Rock(youngs_modulus=1e9, poissons_ratio=0.25)}, []
+    scene.unit_system = UnitSystem.parse("SI")
     steps = Substepped(InSmallStrains(Inner(attempt), scene), Rules(MOST_UNSOLVED + 1), lambda line: None)
     state.max_overpressure = over * 0.1 * 1e9
     with pytest.raises(SolveError) as caught:
         steps.advance(state, LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None).part({}, 0.0, 1.0))
     tried = MOST_UNSOLVED + 2 * (not ends)
     assert (caught.value.trials, caught.value.newton) == (tried, 3 * tried)
-    assert ("strains rock of E = 1e+09 by over 0.1" in str(caught.value)) == ends
+    assert ("strains rock of E = 1e+09 N/m^2 by over 0.1" in str(caught.value)) == ends
 
 
 def test_parts_that_fail_do_not_shrink_for_ever():

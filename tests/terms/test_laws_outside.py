@@ -1,7 +1,6 @@
 """Terms whose laws stand outside the package, by one file and one line each: springs under a side, leak-off from fractures."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import winkler
+from _launch import without_ranks
 
 from fracflow.output import read_history
 from fracflow.output.checkpoint import read_notes
@@ -130,7 +130,7 @@ class Ran:
         for name in names:
             (folder / f"{name}.toml").write_text(SCENES[name], encoding="utf-8")
         launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-        clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+        clean = without_ranks()
         words = [*launcher, sys.executable, str(PROGRAM), str(folder)]
         done = subprocess.run(words, env=clean, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr

@@ -31,6 +31,7 @@ class NearMiss:
     place     the nearest point of that [length]
     distance  between both [length]
     snap      the ``geometry.snap`` that makes them one [length]
+    unit      what messages write behind a length
     """
 
     kind: str
@@ -40,6 +41,7 @@ class NearMiss:
     place: tuple[float, float]
     distance: float
     snap: float
+    unit: str = ""
 
     @property
     def subject(self) -> str:
@@ -52,22 +54,25 @@ class NearMiss:
         how = how if kind == "end" else "from"
         join = "takes it back" if how == "beyond" else "joins them"
         return (
-            f"near miss: {names}: {kind} {_spot(self.point)} is {self.distance:.3g} {how} {self.other} at"
+            f"near miss: {names}: {kind} {_spot(self.point)} is {self.distance:.3g}{self.unit} {how} {self.other} at"
             f" {_spot(self.place)}; geometry.snap = {self.snap:g} {join}"
         )
 
     def as_record(self) -> dict[str, object]:
         """For JSON."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key != "unit"}
 
 
-def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[str], snap: float) -> list[NearMiss]:
+def near_misses(
+    network: TraceNetwork, traces: Sequence[str], sides: Sequence[str], snap: float, unit: str = ""
+) -> list[NearMiss]:
     """Each point of a trace that stays within five ``snap`` of another trace or a side, the nearest first.
 
     Two parts of a network count where the path between them along the network is over twelve times their distance. Of a pair
     of traces only the nearest points of a place count. Ends that go beyond what they cross come last: they cost small cells.
 
     traces, sides  names, by the network's owners
+    unit           what messages write behind a length
     """
     reach = WITHIN * snap
     points = _Points(network)
@@ -90,7 +95,7 @@ def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[st
             taken.setdefault(pair, []).append(here)
         names = tuple(traces[each] for each in own)
         (x, y), (a, b) = (place_without_round_off(each, extent) for each in (here, place.point))
-        found.append(NearMiss(kind, names, (x, y), label[owner], (a, b), distance, _up(distance)))
+        found.append(NearMiss(kind, names, (x, y), label[owner], (a, b), distance, _up(distance), unit))
     return sorted(found, key=lambda miss: miss.kind == "end beyond")
 
 
@@ -103,7 +108,7 @@ def near_miss_lines(misses: Sequence[NearMiss]) -> list[str]:
     what = " and ".join(f"{count} {how}" for count, how in counts if count)
     lines = [f"{HEAD}{what}, by no more than {WITHIN:g} times geometry.snap", *(str(miss) for miss in misses[:MOST])]
     farthest = max((miss.distance for miss in misses[MOST:]), default=0.0)
-    return lines + ([f"near miss: {more} more, up to {farthest:.3g} apart"] if more > 0 else [])
+    return lines + ([f"near miss: {more} more, up to {farthest:.3g}{misses[0].unit} apart"] if more > 0 else [])
 
 
 def near_ones(notes: Sequence[str]) -> list[str]:

@@ -61,27 +61,32 @@ class TraceNetwork:
         return edges.tolist()
 
 
-def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: float, stretch: float) -> TraceNetwork:
+def tidy(
+    domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: float, stretch: float, unit: str = ""
+) -> TraceNetwork:
     """Make traces meet where they all but meet, and cut off what is outside the domain.
 
     domain   (k, 2) corners of a polygon [length]; ``sides`` are the names of its sides
     snap     points nearer than this to each other, or to a trace or side, become one with it [length]
     stretch  traces that cross at under 10 degrees, or share up to this length, keep it as the first one's [length]
+    unit     what messages write behind a length
 
     Raises InputError, naming the traces, for those that are too short, outside, run along each other or a side, or
     meet at less than 0.1 degrees.
     """
     names = [name for name, _ in traces]
-    _check_domain(domain, snap)
+    _check_domain(domain, snap, unit)
     given = planar_graph_of(domain, [points for _, points in traces])
     lines = settle(given, snap, ROUNDS)
     if lines is None:
-        raise InputError(f"geometry: snap = {snap:.3g} leaves no end of points to move; lower geometry.snap")
+        raise InputError(f"geometry: snap = {snap:.3g}{unit} leaves no end of points to move; lower geometry.snap")
     extent = np.ptp(domain, axis=0).max()
-    labels = _Labels(names, list(sides))
+    labels = _Labels(names, list(sides), unit)
     missing = np.setdiff1d(np.arange(len(names)), lines.owner)
     if len(missing):
-        raise InputError(f'geometry: fracture "{names[missing[0]]}": is shorter than snap = {snap:.3g}; remove it')
+        raise InputError(
+            f'geometry: fracture "{names[missing[0]]}": is shorter than snap = {snap:.3g}{unit}; remove it'
+        )
     lines, notes = _inside(lines, domain, labels)
     lines, more = _without_repeats(lines, labels, stretch, _shallow_pairs(given))
     notes = [*_moves(lines, given, labels, EXACT * extent), *notes, *more]
@@ -114,10 +119,11 @@ def cut_at(network: TraceNetwork, places: Floats, snap: float) -> TraceNetwork:
 
 @dataclass(frozen=True)
 class _Labels:
-    """The names of owners in messages."""
+    """The names of owners in messages, and the unit behind lengths."""
 
     traces: list[str]
     sides: list[str]
+    unit: str = ""
 
     def __call__(self, owner: int) -> str:
         return f'fracture "{self.traces[owner]}"' if owner >= 0 else f"side {self.sides[-1 - owner]}"
@@ -166,16 +172,16 @@ def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
     return min(each for each in found if each[0] > 0.0)  # a domain that is none is refused by name later
 
 
-def _check_domain(domain: Floats, snap: float) -> None:
+def _check_domain(domain: Floats, snap: float, unit: str) -> None:
     alone = planar_graph_of(domain, [])
     gaps = np.linalg.norm(domain - np.roll(domain, -1, axis=0), axis=1)
     if gaps.min() <= snap:
         where = place_text(domain[np.argmin(gaps)], extent_of(domain))
-        raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}")
+        raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}{unit}")
     touching = near_edges(alone.points, alone.edges, np.arange(len(domain)), snap)[0]
     if len(touching):
         where = place_text(domain[touching[0]], extent_of(domain))
-        raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")
+        raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g}{unit} of another side")
     if cross(alone, snap) is not alone or polygon_area(domain) <= snap * gaps.max():
         raise InputError(
             "geometry.domain: the sides cross each other; list the corners in their order round the domain"
@@ -231,7 +237,9 @@ def _inside(lines: PlanarGraph, domain: Floats, labels: _Labels) -> tuple[Planar
         met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
         where = ", ".join(place_text(place, extent_of(lines.points)) for place in lines.points[met])
-        notes.append(note(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out"))
+        notes.append(
+            note(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g}{labels.unit} is left out")
+        )
     return replace(lines, edges=lines.edges[~is_out], owner=lines.owner[~is_out]), notes
 
 
@@ -261,11 +269,13 @@ def _without_repeats(
             if keeper == other:
                 raise InputError(f"geometry: {labels(other)}: folds back on itself from {where}; remove a point")
             raise InputError(
-                f"geometry: {labels(other)}: runs along {labels(keeper)} for {shared:.4g}, from {where}, nearer than"
-                f" geometry.snap; {'remove one' if keeper >= 0 else 'move it inside'}, or lower snap"
+                f"geometry: {labels(other)}: runs along {labels(keeper)} for {shared:.4g}{labels.unit}, from {where}, nearer"
+                f" than geometry.snap; {'remove one' if keeper >= 0 else 'move it inside'}, or lower snap"
             )
         if keeper != other:
-            line = f"{labels(other)}: shares {shared:.4g} from {where} with {labels(keeper)}, which keeps it"
+            line = (
+                f"{labels(other)}: shares {shared:.4g}{labels.unit} from {where} with {labels(keeper)}, which keeps it"
+            )
             notes.append(note(line))
     kept = np.setdiff1d(np.arange(len(ends)), again)
     return replace(lines, edges=lines.edges[kept], owner=lines.owner[kept]), notes
@@ -288,10 +298,11 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
         before, after = (place_text(each, extent) for each in (lines.first[point], lines.points[here]))
-        notes.append(note(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}"))
+        notes.append(note(f"{what} {before} moved by {moved[point]:.3g}{labels.unit} to {after}{onto}"))
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
-            notes.append(note(f"{labels(trace)}: bent by {distance:.3g} to {place_text(lines.points[point], extent)}"))
+            place = place_text(lines.points[point], extent)
+            notes.append(note(f"{labels(trace)}: bent by {distance:.3g}{labels.unit} to {place}"))
     return notes
 
 

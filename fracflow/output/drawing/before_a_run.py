@@ -16,7 +16,6 @@ from fracflow.output.drawing.network_map import (
     name_all,
     plain_numbers,
     scaled,
-    shape_of,
 )
 from fracflow.output.plot_style import COLOURS, draw_head
 from fracflow.scene.units import PLAIN, STRESS
@@ -37,7 +36,7 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     """
     from matplotlib.figure import Figure
 
-    shape = max(shape_of(network.rock), FLATTEST)
+    shape = max(network.shape, FLATTEST)
     is_flat = shape <= FLAT
     figure = Figure(figsize=(10 if is_flat else 11, 8), layout="constrained")
     draw_head(figure, title, below)

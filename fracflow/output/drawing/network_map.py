@@ -26,6 +26,8 @@ MOST_CELLS = 40_000  # whose edges are drawn
 SMALL, HALO = 7.5, 2.0  # size of names, and width of the white around them [points]
 AIR = 3.0  # between names, and between a name and the mark of another, where there is room [points]
 FLAT = 0.3  # height over width of a map that has the whole width of a figure
+AROUND = 0.25  # of the larger extent of fractures and marks: rock beside them in a map of their surroundings
+SQUARE = 0.75  # of its longer side: the shorter one of such a map, at least
 FLATTEST, TALLEST = 0.1, 4.0  # height over width of a map: a domain beyond is drawn stretched
 _LOOKS = {
     "well": ("v", "#56B4E9", 10.0),
@@ -45,6 +47,7 @@ class Network:
     fracture  (m,) index into ``names``
     marks     kind -> name -> place; kinds are "well", "probe", "slipped first", "limit point"
     sides     kind -> pieces (s, 2, 2) of sides [length]; kinds are "support", "absorbing side"
+    window    (2, 2) lowest and highest corner of what is shown [length]; None for all of it
     """
 
     rock: Sequence[Floats]
@@ -54,12 +57,35 @@ class Network:
     units: Mapping[str, str]
     marks: Mapping[str, Places] = field(default_factory=dict)
     sides: Mapping[str, Floats] = field(default_factory=dict)
+    window: Floats | None = None
+
+    @property
+    def shape(self) -> float:
+        """Height over width of the window, or of all cells; 1 for none."""
+        corners = self.window if self.window is not None else np.concatenate([np.zeros((0, 2)), *self.rock])
+        wide, high = np.ptp(corners, axis=0) if len(corners) else (1.0, 1.0)
+        return float(high / wide) if wide > 0.0 and high > 0.0 else 1.0
+
+    def near_fractures(self) -> Network:
+        """The same with a window around fractures and marks, and only the cells that it shows."""
+        points = np.concatenate([self.segments.reshape(-1, 2), *self._places()])
+        if not len(points) or not np.all(np.isfinite(points)) or not np.any(np.ptp(points, axis=0)):
+            return self
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = high - low + 2.0 * AROUND * (high - low).max()
+        middle, half = 0.5 * (low + high), 0.5 * np.maximum(size, SQUARE * size.max())
+        corners = np.concatenate([points, *self.rock])
+        low, high = np.maximum(middle - half, corners.min(axis=0)), np.minimum(middle + half, corners.max(axis=0))
+        rock = [cell for cell in self.rock if np.all((cell.max(axis=0) > low) & (cell.min(axis=0) < high))]
+        return replace(self, rock=rock, window=np.stack([low, high]))
+
+    def _places(self) -> list[Floats]:
+        return [np.array(list(places.values())).reshape(-1, 2) for places in self.marks.values()]
 
     def scales(self) -> tuple[Axis, Axis]:
         """The axes of x and y, in one unit."""
         every = [cell.reshape(-1, 2) for cell in self.rock] + [self.segments.reshape(-1, 2)]
-        every += [np.array(list(places.values())).reshape(-1, 2) for places in self.marks.values()]
-        points = np.concatenate(every)
+        points = np.concatenate([*every, *self._places()])
         known = points[np.all(np.isfinite(points), axis=1)]
         first = [axis_of(LENGTH, [known[:, i]], self.units) for i in (0, 1)]
         offset = np.array([each.reference for each in first])
@@ -93,7 +119,7 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
 
     x, y = network.scales()
     axes.grid(False)
-    ratio = shape_of(network.rock)
+    ratio = network.shape
     stretch = float(f"{np.clip(ratio, FLATTEST, TALLEST) / ratio:.2g}")
     axes.set_aspect(stretch, anchor="N")
     look: dict[str, Any] = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
@@ -113,19 +139,15 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
             axes.plot(*at, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=kind)
     axes.autoscale_view()
     axes.margins(0.03)
+    if network.window is not None:
+        (left, bottom), (right, top) = scaled(network.window, x, y).tolist()
+        axes.set(xlim=(left, right), ylim=(bottom, top))
     plain_numbers(axes)
     if ratio * stretch < 0.5:
         plain_numbers(axes, "y", 2)
     wider, higher = (f"\nstretched ×{times:.2g}" if times > 1.0 else "" for times in (1.0 / stretch, stretch))
     axes.set(xlabel=x.label("x") + wider, ylabel=y.label("y") + higher)
     return x, y
-
-
-def shape_of(rock: Sequence[Floats]) -> float:
-    """Height over width of all cells, each with corners (k, 2); 1 for none."""
-    points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in rock)])
-    wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
-    return float(high / wide) if wide > 0.0 and high > 0.0 else 1.0
 
 
 def coloured(
