@@ -1,8 +1,8 @@
 """Laws of friction in the plane by one compiled loop over sections, ``friction.c``.
 
 The laws are at home in their own files; the loop is a copy of them and has their bits. Only stored energies may differ in the
-last one, since their logarithm is the C library's. Setting up makes it where there is a compiler; else the laws themselves
-serve, which take ten times as long for a hundred sections: each evaluation is some hundred calls of NumPy.
+last one, since their logarithm is the C library's. Setting up makes the loop where there is a compiler, else the laws serve.
+Their evaluation is some hundred calls of NumPy.
 """
 
 from __future__ import annotations
