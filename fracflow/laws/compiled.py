@@ -1,7 +1,8 @@
-"""Laws of friction in the plane by one compiled loop over sections, ``friction.c``, in place of some 250 NumPy calls.
+"""Laws of friction in the plane by one compiled loop over sections, ``friction.c``.
 
-The laws are at home in their own files: the loop is a copy of them, and has their bits but for the last one of stored energies,
-whose logarithm is the C library's. It is made in setting up where there is a compiler; else the laws themselves serve.
+The laws are at home in their own files; the loop is a copy of them and has their bits. Only stored energies may differ in the
+last one, since their logarithm is the C library's. Setting up makes the loop where there is a compiler, else the laws serve.
+Their evaluation is some hundred calls of NumPy.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Evaluates(Protocol):
     """A law, or what stands for one."""
 
     def evaluate(self, strain: Floats, history: History, step: LawStep) -> JointResponse:
-        """(2.10b) As ``JointLaw``."""
+        """As ``JointLaw.evaluate``: the response to strains (n, dim) after ``history``."""
         ...
 
 
@@ -76,7 +77,7 @@ class CompiledFriction:
         self._of_laws = self._rows.ctypes.data
 
     def evaluate(self, strain: Floats, history: History, step: LawStep) -> JointResponse:
-        """(2.10b) As the law's."""
+        """The law's own response to strains (n, 2) after ``history``."""
         n = len(strain)
         found, statuses = np.empty(15 * n), np.empty((2, n), dtype=bool)
         given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *map(history.__getitem__, self._names))]
