@@ -186,7 +186,7 @@ class JoinedMatrix:
         return rows, np.append(ends[rows], ends[-1]), entries
 
     def held(self, only: str | None) -> Bools:
-        """Whether each of the unknowns of all ranks is held."""
+        """Whether each of the unknowns (n,) of all ranks is held."""
         held = np.zeros(self.layout.total, dtype=bool)
         held[self.fixed] = True
         if only == "solid":

@@ -423,7 +423,7 @@ def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors
 
 
 def _suits_lapack(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> bool:
-    """Whether unmeshed rock is solved for on one rank, nothing else is, and nobody chooses a factorisation."""
+    """Whether unmeshed rock is solved for on one rank, and alone, where no other factorisation is asked for."""
     prefix = (solver.getOptionsPrefix() or "").removesuffix("_")
     is_alone = scene.is_unbounded and matrix.layout.comm.size == 1 and not factors_are_meant(prefix)
     return is_alone and is_full(matrix)

@@ -1,6 +1,6 @@
 """LU by LAPACK of the free rows and columns of a matrix, where these are nearly full, as those of unmeshed rock are.
 
-A factorisation for sparse matrices finds nothing to spare there: MUMPS takes four times as long for 320 unknowns.
+Few zeros are there to be spared: MUMPS takes four times as long for 320 unknowns.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class FreeBlock:
         self._is_sound = False
 
     def setUp(self, _: PETSc.PC) -> None:  # PETSc's name
-        """Factor the present matrix."""
+        """Factor the present matrix. Collective, on one rank."""
         if self._made is None or self._only != self.matrix.stood[2]:
             self._made = self._chosen()
         block, rows = self._made[:2]
