@@ -185,8 +185,8 @@ class JoinedMatrix:
         rows = np.flatnonzero(np.diff(ends))
         return rows, np.append(ends[rows], ends[-1]), entries
 
-    def _held(self, only: str | None) -> np.ndarray:
-        """Whether each of the unknowns of all ranks is held."""
+    def held(self, only: str | None) -> Bools:
+        """Whether each of the unknowns (n,) of all ranks is held."""
         held = np.zeros(self.layout.total, dtype=bool)
         held[self.fixed] = True
         if only == "solid":
@@ -196,7 +196,7 @@ class JoinedMatrix:
         return held
 
     def _find_free(self, only: str | None) -> FreePart:
-        held = self._held(only)
+        held = self.held(only)
 
         def free(numbers: Ints) -> Ints:
             return np.where(held[numbers], -1, numbers)

@@ -20,8 +20,10 @@ from fracflow.model.layout import Layout
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
+from fracflow.solve.factors.free_block import factor_by_lapack, is_full
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.jacobian import PARTS, JoinedMatrix, node_size, tell_rigid_motions
+from fracflow.solve.options import factors_are_meant
 from fracflow.solve.residual import over_ranks
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
@@ -123,7 +125,7 @@ def _why_unsolved(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec) -> s
     LU with pivots is backward stable. It loses all digits only where |A| |x| / |b|, which is at most the condition number of A,
     comes near the inverse of round-off.
     """
-    if solver.getPC().getType() not in ("lu", "cholesky"):
+    if solver.getPC().getType() not in ("lu", "cholesky") and solver.getType() != "preonly":
         by = {"python": "multigrid"}.get(kind := solver.getPC().getType(), kind)
         return f"{solver.getIterationNumber()} iterations preconditioned by {by} do not suffice"
     code = _mumps_code(solver)
@@ -413,5 +415,15 @@ def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors
     is_direct = solver.getType() == "preonly" and solver.getPC().getType() == "lu"
     if is_direct and matrix.whole is not matrix.matrix:
         return NearFactors(solver, matrix)
-    keeps = is_direct and are_kept(scene, matrix.layout.total, _is_swift(solver))
-    return (KeptFactors if keeps else NewFactors)(solver, matrix)
+    if is_direct and are_kept(scene, matrix.layout.total, _is_swift(solver)):
+        return KeptFactors(solver, matrix)
+    if is_direct and _suits_lapack(scene, solver, matrix):
+        factor_by_lapack(solver, matrix)
+    return NewFactors(solver, matrix)
+
+
+def _suits_lapack(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> bool:
+    """Whether unmeshed rock is solved for on one rank, and alone, where no other factorisation is asked for."""
+    prefix = (solver.getOptionsPrefix() or "").removesuffix("_")
+    is_alone = scene.is_unbounded and matrix.layout.comm.size == 1 and not factors_are_meant(prefix)
+    return is_alone and is_full(matrix)

@@ -93,8 +93,12 @@ def is_swift(unknowns: int, ranks: int) -> bool:
 
 def _swift() -> dict[str, dict[str, Value]]:
     """UMFPACK for the solvers whose factorisation neither the scene nor the command line chooses."""
-    own = [p for p in ("whole-lu", "solid") if not any(name.startswith((f"{p}_pc_", f"{p}_mat_")) for name in _given)]
-    return dict.fromkeys(own, _UMFPACK)
+    return dict.fromkeys((prefix for prefix in ("whole-lu", "solid") if not factors_are_meant(prefix)), _UMFPACK)
+
+
+def factors_are_meant(prefix: str) -> bool:
+    """Whether the scene or the command line chooses how the solver of that prefix factors."""
+    return any(name.startswith((f"{prefix}_pc_", f"{prefix}_mat_")) for name in _given)
 
 
 def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:

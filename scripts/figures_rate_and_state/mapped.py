@@ -1,7 +1,8 @@
-"""meshes/mapped_network: where it slipped and where events began, catalogue, moment in time."""
+"""meshes/mapped_network, its two scenes: where it slipped and where events began, catalogue, moment in time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,55 @@ from fracflow.output.reader import load_fractures
 
 MINUTE, HOUR, DAY, MM, GIGA = 60.0, 3600.0, 86400.0, 1e-3, 1e9
 SHEAR, SHUT_IN = 20e9, 2 * DAY  # of the scene [Pa], [s]
-SHOWN = (230.0, 540.0, 20.0, 330.0)  # west, east, south, north of the part that slips [m]
 STILL = 1e-2  # of the largest slip: less is drawn in grey
-EVENTS, CLOSED = 3, 1e-10  # at least so many; energy not closed, of the friction
-COMMAND = "scripts/figures rate-and-state --only mapped_network"
+CLOSED = 1e-10  # energy not closed, of the friction
 
 
-def draw(run: Run, folder: Path) -> list[Check]:
-    """Draw ``catalogue`` into ``folder`` and return the bars."""
+@dataclass(frozen=True)
+class Picture:
+    """Of one of the scenes.
+
+    name    of the files
+    only    of the figure in the command
+    words   below the title
+    shown   west, east, south, north of the part that slips [m]
+    events  at least so many
+    most    length of a rupture that none reaches [m]
+    """
+
+    name: str
+    only: str
+    words: str
+    shown: tuple[float, float, float, float]
+    events: int
+    most: float
+
+    @property
+    def command(self) -> str:
+        """By which it is drawn."""
+        return f"scripts/figures rate-and-state --only {self.only}"
+
+
+BY_RATE = Picture(
+    "catalogue", "mapped_network",
+    "Two days at 3 L/s into trace 1, two days shut in. Friction of rate and state; circles: where events began, in turn.",
+    (230.0, 540.0, 20.0, 330.0), 3, 600.0,
+)  # fmt: skip
+BY_SLIP = Picture(
+    "slip_weakening", "slip_weakening",
+    "Two days at 5 L/s into trace 1, two days shut in. Friction weakens with slip; circles: places of the catalogue.",
+    (210.0, 580.0, 20.0, 350.0), 2, 1000.0,
+)  # fmt: skip
+
+
+def draw(run: Run, folder: Path, picture: Picture) -> list[Check]:
+    """Draw ``picture`` into ``folder`` and return the bars."""
     events = run.events[run.events["kind"] == "event"]
     segments, slip, times, moments = _slip(run)
     fast = np.array([events["moment"][events["start"] < time].sum() for time in times])
     figure, axes = sheet(
         "Injection into a mapped network of 63 traces, Sotra, Norway",
-        "Two days at 3 L/s into trace 1, two days shut in. Friction of rate and state; circles: where events began, in turn.",
+        picture.words,
         [["map", "sizes"], ["map", "moment"]], (10.0, 5.6), width_ratios=[1.15, 1],
     )  # fmt: skip
     ax = axes["map"]
@@ -39,7 +75,7 @@ def draw(run: Run, folder: Path) -> list[Check]:
     lines.set_array(slip[slips] / MM)
     ax.add_collection(lines)
     figure.colorbar(lines, ax=ax, label="slip after four days [mm]", orientation="horizontal", shrink=0.7)
-    ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=SHOWN[:2], ylim=SHOWN[2:])
+    ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=picture.shown[:2], ylim=picture.shown[2:])
     ax.set_title("Part of the network around the well")
     (well,) = (each for each in run.scene.well if each.name == "injector")
     ax.plot(*well.at, "v", color=BLUE, markeredgecolor=INK, markersize=9)
@@ -73,11 +109,11 @@ def draw(run: Run, folder: Path) -> list[Check]:
     axes["moment"].set(xlabel="time [h]", ylabel="moment [GN m/m]", xlim=(0.25, times[-1] / HOUR))
     axes["moment"].set_ylim(bottom=0.0)
     axes["moment"].legend(fontsize=8, loc="upper left")
-    save(figure, folder, "catalogue", COMMAND)
+    save(figure, folder, picture.name, picture.command)
     keys = ("start", "end", "length", "mean_slip", "slip", "stress_drop", "moment", "magnitude", "radiated", "injected")
     columns = {"time": times, "moment": moments, "in_events": fast, **{f"event_{key}": events[key] for key in keys}}
-    write_csv(folder, "catalogue", columns, [COMMAND])
-    return _bars(run, events, moments, fast)
+    write_csv(folder, picture.name, columns, [picture.command])
+    return _bars(run, events, moments, fast, picture)
 
 
 def _slip(run: Run) -> tuple[Floats, Floats, Floats, Floats]:
@@ -92,13 +128,13 @@ def _slip(run: Run) -> tuple[Floats, Floats, Floats, Floats]:
     return fields.segments, slip[-1][fields.cells].mean(axis=1), profiles["time"], SHEAR * (slip @ lengths)
 
 
-def _bars(run: Run, events: NDArray[np.void], whole: Floats, fast: Floats) -> list[Check]:
+def _bars(run: Run, events: NDArray[np.void], whole: Floats, fast: Floats, asked: Picture) -> list[Check]:
     unclosed = float(np.abs(run.energy["residual"]).max() / np.abs(run.energy["friction"]).max())
     slow, longest = float(1.0 - fast[-1] / whole[-1]), float(events["length"].max())
     days, ended = run.times[-1] / DAY, run.status == "ended"
     return [
-        Check("events in the catalogue", len(events), f">= {EVENTS}", len(events) >= EVENTS),
-        Check("longest rupture [m]", longest, "< 600, the longest trace", longest < 600.0),
+        Check("events in the catalogue", len(events), f">= {asked.events}", len(events) >= asked.events),
+        Check("longest rupture [m]", longest, f"< {asked.most:g}", longest < asked.most),
         Check("moment between events, of all", slow, "0.05 to 0.95", 0.05 < slow < 0.95),
         Check("energy not closed, of the friction", unclosed, f"<= {CLOSED:g}", unclosed <= CLOSED),
         Check("days", days, "4, ended", ended and abs(days - 4.0) < 1e-6),

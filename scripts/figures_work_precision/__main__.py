@@ -54,7 +54,9 @@ def check(problem: Problem, points: Sequence[Point]) -> list[Check]:
     ratio, worst, best = over_front(points)
     found = f"{ratio:.2f} at {worst.error:.1e}" + (f", front: {best}" if ratio > MOST else "")
     odd = sorted({point.method.name for point in points if point.method.fails != bool(point.reason)})
+    orders = [(f"{problem.name}: order from {o.coarse} to {o.fine}", o.of(points), o.least) for o in problem.orders]
     return [
+        *(Check(what, order, f">= {least:g}", order >= least) for what, order, least in orders),
         Check(f"{problem.name}: CPU of the default over the front's", found, f"<= {MOST:g}", ratio <= MOST),
         Check(f"{problem.name}: methods not as expected", ", ".join(odd) or "none", "none", not odd),
     ]

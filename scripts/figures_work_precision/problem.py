@@ -50,12 +50,29 @@ class Method:
     most: float | None = None
 
 
+class Order(NamedTuple):
+    """By which the error falls at a level from a method to another with a finer mesh; the least that is asked for."""
+
+    coarse: str
+    fine: str
+    level: float
+    ratio: float
+    least: float
+
+    def of(self, points: Sequence[Point]) -> float:
+        """Its value."""
+        found = {point.method.name: point.error for point in points if point.level == self.level}
+        errors = found[self.coarse], found[self.fine]
+        return float(np.log(errors[0] / errors[1]) / np.log(self.ratio))
+
+
 @dataclass(frozen=True)
 class Problem:
     """Methods on one problem; ``level`` and ``error`` say what they are.
 
     most     error that every method keeps below on its second level, by which the tests see that none rots
     prepare  what is done once before, and not counted as work
+    orders   of methods on two meshes
     """
 
     name: str
@@ -65,6 +82,7 @@ class Problem:
     methods: tuple[Method, ...]
     most: float
     prepare: Callable[[], object] = lambda: None
+    orders: tuple[Order, ...] = ()
 
 
 class Point(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from figures_benchmarks.benchmark import table_of
 from figures_benchmarks.cases.bp6_rate import FRONT_COLUMN, Ended
-from figures_work_precision.problem import Method, Point, cheapest, front, measure, over_front
+from figures_work_precision.problem import Method, Order, Point, cheapest, front, measure, over_front
 from figures_work_precision.problems import PROBLEMS, w6, w10
 
 pytestmark = pytest.mark.serial
@@ -52,3 +52,9 @@ def test_front_and_its_interpolation():
     ratio, worst, best = over_front(points)
     assert ratio == pytest.approx(2.0) and worst is points[0] and best == "b"
     assert cheapest(points, 0.3) == (1.0, "b")
+
+
+def test_order_of_two_meshes_at_a_level():
+    coarse, fine = (Method(name, lambda _: None, ()) for name in ("20 m", "5 m"))
+    points = [Point(coarse, 0.9, 0.3, 1.0, {}), Point(coarse, 0.4, 0.16, 2.0, {}), Point(fine, 0.4, 0.01, 9.0, {})]
+    assert Order("20 m", "5 m", 0.4, 4.0, 1.5).of(points) == pytest.approx(2.0)

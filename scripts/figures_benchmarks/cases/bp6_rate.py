@@ -64,34 +64,43 @@ class Ended(NamedTuple):
     steps: int
 
 
-def ended(size: float, share: float = SHARE, meshed: bool = True, law: str = "ageing") -> Ended:
-    """A run on joints of ``size`` metres, in steps of slip ``share`` D_c, by a law of the state; with cells or without."""
-    nodes = np.linspace(-HALF, HALF, round(2 * HALF / size) + 1)
+def ended(size: float, share: float = SHARE, meshed: bool = True, law: str = "ageing", half: float = HALF) -> Ended:
+    """A run on joints of ``size`` metres, in steps of slip ``share`` D_c, by a law of the state; with cells or without.
+
+    half  of the fault, beyond which the rock is whole [m]
+    """
+    nodes = np.linspace(-half, half, round(2 * half / size) + 1)
     rise = np.linspace(0.0, 1.0, 61) ** 2
     times = np.concatenate([rise * OFF, OFF + rise[1:] * (END - OFF)])
     values = [[float(f"{p:.8g}") for p in pressure(nodes, at)] for at in times]
     watched = [f'{{name = "z{z}", at = [{z}, 0], on = "fault", quantities = ["sliding_rate"]}}' for z in WATCHED]
     scene = SCENE.format(
         young=2 * SHEAR, stress=STRESS, traction=TRACTION, first=OFF / 16, off=OFF, then=(END - OFF) / 64, end=END,
-        share=share, far=FAR, size=size, half=HALF, growth=GROWTH * size, probes=", ".join(watched), law=law,
-        along=(nodes + HALF).tolist(), times=times.tolist(), values=values,
+        share=share, far=FAR, size=size, half=half, growth=GROWTH * size, probes=", ".join(watched), law=law,
+        along=(nodes + half).tolist(), times=times.tolist(), values=values,
     )  # fmt: skip
     found, seconds = clocked(scene if meshed else unbounded(scene))
     state = found.fractures[-1]
     order = np.argsort(state.points[:, 0], kind="stable")
     z, slip = state.points[order, 0], np.abs(state.point["plastic_slip"][order])
     rates = np.log(state.point["sliding_rate"][order][z >= 0.0] / FRONT)
-    last = int(np.flatnonzero(rates > 0.0).max(initial=0))
-    ahead = rates[last] / (rates[last] - rates[last + 1])
     return Ended(
         float(np.interp(0.0, z, slip)),
         float(np.sum((slip[1:] + slip[:-1]) / 2 * np.diff(z))),
         max(float(found.probe(f"z{at}", "sliding_rate").max()) for at in WATCHED),
-        float(z[z >= 0.0][last] + ahead * np.diff(z[z >= 0.0])[last]),
+        _front(z[z >= 0.0], rates),
         (z, slip),
         seconds,
         len(found.history["time"]),
     )
+
+
+def _front(z: Floats, rates: Floats) -> float:
+    """The last place where the logarithm of the rate passes 0, between places z (n,); the end where it is above there."""
+    last = int(np.flatnonzero(rates > 0.0).max(initial=0))
+    if last == len(z) - 1:
+        return float(z[last])
+    return float(z[last] + rates[last] / (rates[last] - rates[last + 1]) * (z[last + 1] - z[last]))
 
 
 def run(size: float) -> Ran:

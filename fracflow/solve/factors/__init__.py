@@ -1,0 +1,1 @@
+"""Factorisations of our own, where those of PETSc's packages for sparse matrices are not the best."""
