@@ -13,18 +13,11 @@ from fracflow.errors import MOST_NAMED, SolveError
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
-from fracflow.model.network_parts import (
-    NetworkComponent,
-    Parts,
-    change_volume,
-    close,
-    conducting,
-    holding,
-    leaving,
-)
+from fracflow.model.network_parts import NetworkComponent, NetworkComponents, conducting, holding, leaving
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
+from fracflow.model.undrained import change_volume, close
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import AREA, FLOW_RATE
@@ -54,7 +47,7 @@ class FlowNetwork:
         self._leaves, self._leaks_off = (leaving(model.operators, by_memory) for by_memory in (False, True))
         self._logged: Bools | None = None
         self._has_logged_digits = False
-        self._parts: Parts | None = None
+        self._parts: NetworkComponents | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
         # weak: a state that is done with is freed, and a new one may have its id
@@ -204,7 +197,7 @@ class FlowNetwork:
         self._conducts, self._holds = now, holds
         if not conduct or self._parts is None:
             self._free_parts()
-            self._parts = Parts(operators, now)
+            self._parts = NetworkComponents(operators, now)
 
     def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""

@@ -209,8 +209,8 @@ def check(
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
     from fracflow.cli.answer import size_line
+    from fracflow.diagnostics.well_parts import unconnected_wells
     from fracflow.mesh.split import summary
-    from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load

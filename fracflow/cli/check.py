@@ -11,10 +11,10 @@ from fracflow.advance.cost import cost_of_events
 from fracflow.advance.explicit import explicit_cost, seconds_of_product
 from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
+from fracflow.diagnostics.well_parts import parts_with_wells
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
-from fracflow.model.network_parts import parts_with_wells
 from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
 from fracflow.reduction import Decision, decide

@@ -53,10 +53,10 @@ def lowest_joined(comm: MPI.Comm, own: int, total: int, numbers: Ints, piece: In
     """The lowest number (k,) that each of ``numbers`` (k,) is joined with, on any rank. Collective.
 
     own    numbers of ``total`` that this rank keeps
-    piece  (k,) what this rank joins: numbers of one piece are joined
+    piece  (k,) which piece each is in: this rank joins the numbers of one
 
-    Ranks take the lowest of each number that any has, until none finds a lower one. What crosses ranks so many times takes as
-    many rounds.
+    Ranks take the lowest of each number that any has, until none finds a lower one. A component that crosses ranks so many
+    times takes as many rounds.
     """
 
     def lowest(values: Floats) -> Floats:

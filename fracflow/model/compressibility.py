@@ -14,10 +14,10 @@ from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.loads import Loads
-from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.model.terms.term import Term, TermStep
+from fracflow.model.undrained import Closure
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:

@@ -15,12 +15,12 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.dirichlet import PrescribedValues, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
-from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.model.terms.term import held_without_inertia
 from fracflow.model.unbounded import held_walls, stress_force
+from fracflow.model.undrained import Closure
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene

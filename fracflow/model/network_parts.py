@@ -1,29 +1,23 @@
-"""Connected components of the network, the closure of an undrained one, and the wells of those that never meet."""
+"""Connected components of the network, spread over the ranks: which elements conduct, and which nodes they join."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.mesh.blocks import owner_of, petsc_ints
-from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.blocks import petsc_ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.graph import components
 from fracflow.mesh.shared import Shared, lowest_joined
 from fracflow.model.flow import Compression
-from fracflow.model.layout import Layout, local_rows
+from fracflow.model.layout import local_rows
 from fracflow.model.operators import Operators
-from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH
 
 CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
 Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
-FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
-MOST_NAMES = 12  # fractures that a line lists
 
 
 @dataclass(frozen=True)
@@ -46,33 +40,6 @@ class NetworkComponent:
     def __str__(self) -> str:
         names = ", ".join(self.fractures)
         return f"{names} ({self.count} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
-
-
-@dataclass(frozen=True)
-class Closure:
-    """The row in place of the balance at one node of an undrained component without storage.
-
-    The balances of its nodes add up to zero, so one of them is redundant and the level is undetermined.
-
-    by       "walls": it keeps its volume. "fluid": it keeps its compressible fluid. "level": it keeps its mean pressure,
-             as its walls cannot move. So does one node pinched on all sides, which must be free to open again
-    row      local number of the node on the rank that owns it, empty elsewhere
-    weights  change of the volume with the displacements, or shares of the pressures in the mean
-    size     of a volume, by which that of "walls" and "fluid" is divided [area]
-    number   of the flow node that has the row, the same on every rank
-    nodes    (n,) numbers of the flow nodes of the component on this rank
-    ends     (j, 2) which joint ends of this rank are in a component that keeps its fluid
-    touched  local numbers of the displacements that weights may depend on
-    """
-
-    by: Literal["walls", "fluid", "level"]
-    row: Ints
-    weights: PETSc.Vec
-    size: float
-    number: int
-    nodes: Ints
-    ends: Bools
-    touched: Ints
 
 
 def conducting(operators: Operators, conductance: Floats) -> Bools:
@@ -107,7 +74,7 @@ def leaving(operators: Operators, by_memory: bool = False) -> Bools:
     return np.asarray(found)
 
 
-class Parts:
+class NetworkComponents:
     """The connected components of the network, spread over the ranks.
 
     Each rank knows those that its flow nodes, its joint ends or its walls touch, here called its k parts.
@@ -203,150 +170,3 @@ class Parts:
     def destroy(self) -> None:
         """Free the way between the ranks. Collective."""
         self._shared.destroy()
-
-
-def change_volume(operators: Operators, parts: Parts, fixed_solid: Ints) -> Bools:
-    """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
-
-    Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
-    """
-    layout, walls, count = operators.layout, local_rows(operators.network.storage_coupling), len(parts.roots)
-    joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
-    free = ~np.isin(joined, fixed_solid)[walls.rows]
-    keys, inverse = np.unique(walls.rows[free] * count + parts.at(walls.cols[free]), return_inverse=True)
-    room, size = np.zeros(len(keys)), np.zeros(len(keys))
-    np.add.at(room, inverse, walls.values[free])
-    np.add.at(size, inverse, np.abs(walls.values[free]))
-    largest, gives = np.zeros(count), np.zeros(count)
-    np.maximum.at(largest, keys % max(count, 1), size)
-    largest = parts.largest(largest)
-    np.logical_or.at(gives, keys % max(count, 1), np.abs(room) > FREE * largest[keys % max(count, 1)])
-    return np.asarray(parts.largest(gives) > 0.0)
-
-
-def close(operators: Operators, parts: Parts, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
-    """The closure of an undrained component, by whether its walls can move. The caller owns its weights. Collective.
-
-    holds  whether it holds a fluid that is compressible, in a step that stores nothing
-    """
-    layout, network, scales = operators.layout, operators.network, operators.scales
-    inside = layout.flow_vector()
-    local = part.nodes - int(layout.flow_starts[layout.comm.rank])
-    row = local[part.nodes == part.root]
-    size, nothing = scales.length * scales.displacement, np.zeros(0, dtype=np.int64)
-    no_ends = np.zeros(parts.ends.shape, dtype=bool)
-    if not holds and (part.count == 1 or not gives):
-        inside.getArray()[local] = 1.0 / part.count
-        return Closure("level", row, inside, size, part.root, part.nodes, no_ends, nothing)
-    inside.getArray()[local] = 1.0
-    weights = layout.solid_vector()
-    network.storage_coupling.mult(inside, weights)
-    inside.destroy()
-    if not holds:
-        return Closure("walls", row, weights, size, part.root, part.nodes, no_ends, nothing)
-    ends, walls = parts.roots[parts.ends] == part.root, local_rows(network.storage_coupling)
-    volume = float(np.sum(np.where(ends, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
-    soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
-    touched = np.unique(walls.rows[parts.roots[parts.at(walls.cols)] == part.root])
-    return Closure(
-        "fluid", row, weights, max(size if gives else 0.0, soft) or size, part.root, part.nodes, ends, touched
-    )
-
-
-def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
-    """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); none on ranks without it. Collective."""
-    local = closure.weights.getArray(readonly=True)
-    first = closure.weights.getOwnershipRange()[0]
-    entries = np.union1d(np.flatnonzero(local), closure.touched)
-    number = layout.flow_numbers if closure.by == "level" else layout.solid_numbers
-    fluid = layout.flow_numbers(closure.nodes) if closure.by == "fluid" else closure.nodes[:0]
-    here = number(entries + first), fluid, local[entries], np.zeros(len(fluid))
-    gathered = layout.comm.gather(here, root=int(owner_of(layout.flow_starts, np.array([closure.number]))[0]))
-    if gathered is None:
-        return closure.nodes[:0], local[:0]
-    walls, held, weights, nothing = (np.concatenate(each) for each in zip(*gathered, strict=True))
-    return np.concatenate([walls, held]), np.concatenate([weights, nothing])
-
-
-@dataclass(frozen=True)
-class WellPart:
-    """Fractures that meet each other, with wells in them.
-
-    wells      their names
-    fractures  names of the fractures, in the order of the mesh
-    length     of all of them [length]
-    apart      distance from the nearest part with other wells, between nodes; inf where there is none [length]
-    near       its fracture and that of the other part where they come so near
-    """
-
-    wells: tuple[str, ...]
-    fractures: tuple[str, ...]
-    length: float
-    apart: float = np.inf
-    near: tuple[str, str] = ("", "")
-
-    def __str__(self) -> str:
-        many = len(self.fractures)
-        names = ", ".join(self.fractures[:MOST_NAMES]) + (f" and {many - MOST_NAMES} more" if many > MOST_NAMES else "")
-        return f"{', '.join(self.wells)} in {names} ({many} fracture{'s' * (many > 1)}, {self.length:.4g} long)"
-
-    def as_record(self) -> dict[str, object]:
-        """For JSON, which has no infinity."""
-        return asdict(self) | {"apart": self.apart if np.isfinite(self.apart) else None}
-
-
-def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[WellPart]:
-    """Components of a network with wells, that of the first well first; ``wells`` name -> flow nodes. On one process.
-
-    Whatever the motion of walls, fluid never flows from one to the other.
-    """
-    count = len(mesh.flow_origin)
-    if not wells or not count:
-        return []
-    label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
-    of_joint = label[mesh.joint_flow[:, 0]]
-    length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
-    inside: dict[int, list[str]] = {}
-    for name, nodes in wells.items():
-        for part in np.unique(label[list(nodes)]).tolist():
-            inside.setdefault(part, []).append(name)
-    found = []
-    for part, names in inside.items():
-        here = of_joint == part
-        fractures = tuple(mesh.fractures[k] for k in np.unique(mesh.joint_fracture[here]))
-        others = np.isin(label, [each for each in inside if each != part])
-        nearest = _nearest(mesh, label == part, others)
-        found.append(WellPart(tuple(names), fractures, float(length[here].sum()), *nearest))
-    return found
-
-
-def unconnected_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """Lines about wells between which nothing can flow; none where all are in one part. On one process."""
-    parts = parts_with_wells(mesh, wells)
-    if len(parts) < 2:
-        return []
-    unit = scene.unit_system.behind(LENGTH)
-    nearest = min(parts, key=lambda part: part.apart)
-    return [
-        f"wells: they are in {len(parts)} parts of the network that never meet: no fluid flows from one to another",
-        *(f"wells: part {number}: {part}" for number, part in enumerate(parts, 1)),
-        f'wells: parts come nearest at fracture "{nearest.near[0]}" and fracture "{nearest.near[1]}", {nearest.apart:.3g}{unit}'
-        " apart: move a well, or join them in the traces",
-    ]
-
-
-def _nearest(mesh: SplitMesh, inside: Bools, others: Bools) -> tuple[float, tuple[str, str]]:
-    """Least distance between nodes of two sets (n,) and a fracture at each of the two."""
-    if not others.any():
-        return np.inf, ("", "")
-    from scipy.spatial import cKDTree  # imports much
-
-    points: Floats = mesh.points[mesh.flow_origin]
-    one, other = np.flatnonzero(inside), np.flatnonzero(others)
-    distance, nearest = cKDTree(points[other]).query(points[one])
-    best = int(np.argmin(distance))
-
-    def name(node: int) -> str:
-        return mesh.fractures[mesh.joint_fracture[int(np.argmax(np.any(mesh.joint_flow == node, axis=1)))]]
-
-    return float(distance[best]), (name(int(one[best])), name(int(other[nearest[best]])))

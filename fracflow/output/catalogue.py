@@ -18,6 +18,7 @@ from fracflow.scene.scene import Scene
 
 SLIPPED = 1e-9  # of the largest slip of an event: less counts as none
 RUPTURED = 1e-2  # of the largest slip of an event: less is creep meanwhile, not of its rupture
+ALIKE = 1e-6  # slip rates of sections that mirror each other differ by less
 RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
 """Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
@@ -83,7 +84,8 @@ class Catalogue:
             if len(sliding):
                 self.end = math.nan
                 if self.first < 0:
-                    self.first, self.start = int(sliding[0]), now.time if now.began is None else now.began
+                    self.first = _fastest(sliding, now.rate)
+                    self.start = now.time if now.began is None else now.began
             elif math.isnan(self.end):
                 self.end = now.time
             self.peak = np.fmax(self.peak, magnitude(now.rate))
@@ -101,7 +103,7 @@ class Catalogue:
         return self.row(self.now) | {"end": None}
 
     def row(self, now: Instant) -> dict[str, Any]:
-        """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid.
+        """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where it began.
 
         Moment and energy are those of all sections. Number, length, mean slip, stress drop and rate are those of the rupture.
         """
@@ -144,6 +146,12 @@ class Catalogue:
         """Go on from what ``memory`` gave."""
         self.is_moving, self.before, self.first = memory["is_moving"], memory["before"], memory["first"]
         self.start, self.end, self.peak = memory["start"], memory["end"], np.array(memory["peak"])
+
+
+def _fastest(sliding: Ints, rate: Floats) -> int:
+    """The section of those sliding that is fastest, the first of those that are as fast but for round-off."""
+    speed = magnitude(rate)[sliding]
+    return int(sliding[np.argmax(speed >= (1.0 - ALIKE) * speed.max())])
 
 
 def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str, Any] | None) -> Catalogue | None:

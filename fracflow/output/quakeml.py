@@ -1,6 +1,6 @@
 """The catalogue of a run as QuakeML 1.2 BED (Schorlemmer et al. 2011), which ObsPy and other programs of seismology read.
 
-An event has the origin where its first section slid, and, where the scene has output.event_length, its scalar moment,
+An event has the origin where its fastest section slid as it began, and, where the scene has output.event_length, its scalar moment,
 moment magnitude (Hanks and Kanamori 1979), and the moment tensor of a shear fault: the fracture there, and the sense of its
 largest slip. Depth is in metres, downward positive, below sea level. Strike, dip and rake are those of Aki and Richards.
 """
@@ -179,7 +179,7 @@ def _add_event(
 
 
 def _along(mesh: SplitMesh, row: Mapping[str, Any]) -> Floats:
-    """Direction (2,) of the fracture of an event where its first section slid. Raises InputError."""
+    """Direction (2,) of the fracture of an event where it began. Raises InputError."""
     if row["fracture"] in mesh.fractures:
         on = mesh.joint_fracture == mesh.fractures.index(row["fracture"])
         near = on & (mesh.origin[mesh.joint_bottom] == row["node"]).any(axis=1)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from fracflow._petsc import MPI, PETSc, timed
+from fracflow.diagnostics.well_parts import unconnected_wells
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
 from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
 from fracflow.reduction.mesh_size import proposed

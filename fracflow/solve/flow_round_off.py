@@ -17,7 +17,7 @@ from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Loads
-from fracflow.model.network_parts import Parts, conducting
+from fracflow.model.network_parts import NetworkComponents, conducting
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.scene.values import TimeTable
@@ -107,7 +107,7 @@ def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: 
             pumped |= well.vector.getArray(readonly=True) != 0.0
     if not layout.comm.allreduce(bool(pumped.any()), op=MPI.LOR):
         return pumped
-    parts = Parts(operators, conducting(operators, conduction.conductance))
+    parts = NetworkComponents(operators, conducting(operators, conduction.conductance))
     fed = parts.any_of(pumped)[parts.own]
     parts.destroy()
     return np.asarray(fed)

@@ -21,8 +21,8 @@ from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
 from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
-from fracflow.model.network_parts import Closure, closure_row
 from fracflow.model.operators import Operators
+from fracflow.model.undrained import Closure, closure_row
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 
 if TYPE_CHECKING:

@@ -91,6 +91,12 @@ def is_swift(unknowns: int, ranks: int) -> bool:
     return fits and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
 
 
+def are_on_one_rank(unknowns: int, ranks: int) -> bool:
+    """Whether multigrid's small systems beside so many displacements are each factored by one rank, with UMFPACK."""
+    suits = ranks == 1 or (ranks > 1 and unknowns <= SWIFT_TO)
+    return suits and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
+
+
 def _swift() -> dict[str, dict[str, Value]]:
     """UMFPACK for the solvers whose factorisation neither the scene nor the command line chooses."""
     return dict.fromkeys((prefix for prefix in ("whole-lu", "solid") if not factors_are_meant(prefix)), _UMFPACK)
@@ -144,7 +150,7 @@ def set_defaults(given: Mapping[str, Value], rock: RockChoice = BY_FACTORS, rank
     tables = [
         OPTIONS,
         *([MULTIGRID] if rock.by_multigrid else []),
-        *([_SMALL_PARTS] if rock.by_multigrid and ranks == 1 and PETSc.Sys.hasExternalPackage("suitesparse") else []),
+        *([_SMALL_PARTS] if rock.by_multigrid and are_on_one_rank(rock.unknowns, ranks) else []),
         *([_swift()] if is_swift(rock.unknowns, ranks) else []),
     ]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}

@@ -124,7 +124,7 @@ def worker(way: str, scene: str, folder: str, stop: int, result: str) -> None:
         Path(result).write_text(json.dumps(facts | {"ranks": found}), encoding="utf-8")
 
 
-def measure(way: str, scene: Path, ranks: int, stop: int, out: Path, samples: bool) -> dict[str, Any]:
+def measure(way: str, scene: Path, ranks: int, stop: int, out: Path, samples: bool = False) -> dict[str, Any]:
     """Run a way in processes of its own; what ``worker`` found, and samples of each rank."""
     folder, result = out / f"run-{scene.stem}-{ranks}", out / f"{scene.stem}-{way}-{ranks}.json"
     result.unlink(missing_ok=True)

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
+from fracflow.errors import Unsolved
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import local_rows
 from fracflow.output import read_history
@@ -16,6 +17,7 @@ from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
+from fracflow.solve.fractured_rock.small_system import SmallSystem
 from fracflow.solve.fractured_rock.subspaces import grown, walls
 
 
@@ -140,6 +142,51 @@ def test_small_systems_follow_the_joints_and_the_time_step(operators):
             assert np.allclose(found.getArray()[is_moved], wanted.getArray()[is_moved], rtol=1e-6)
             assert layout.comm.allreduce(int(is_moved.sum())) > 0
     context.destroy(PETSc.PC())
+
+
+@pytest.mark.parametrize("by", ["umfpack", "mumps"])
+def test_a_small_system_is_solved_on_one_rank_or_on_all(by, comm):
+    options, count = PETSc.Options(), 3 * comm.rank or 3 * (comm.size == 1)  # rank 0 of several has no rows
+    given = {"small_ksp_type": "preonly", "small_pc_type": "lu", "small_pc_factor_mat_solver_type": by}
+    for name, value in given.items():
+        options[name] = value
+    system = SmallSystem(comm, "small_", max(comm.size - 2, 0))
+    assert system.is_alone == (by == "umfpack" and comm.size > 1)
+    matrix = PETSc.Mat().createAIJ(((count, None), (count, None)), nnz=(3, 2), comm=comm)
+    first, last = matrix.getOwnershipRange()
+    right, found = matrix.createVecs()
+    right.setArray(np.cos(np.arange(first, last)))
+    for scale in (1.0, 5.0):
+        for row in range(first, last):
+            cols = [col for col in (row - 1, row, row + 1) if 0 <= col < matrix.getSize()[0]]
+            matrix.setValues(row, cols, [scale * (4.0 + row if col == row else 0.5 * (row - col)) for col in cols])
+        matrix.assemble()
+        system.take(matrix)
+        assert system.factor() is None
+        system.solve(right, found)
+        left = right.duplicate()
+        matrix.mult(found, left)
+        left.axpy(-1.0, right)
+        assert left.norm() < 1e-14
+        left.destroy()
+    destroy(system, matrix, right, found)
+    for name in given:
+        options.delValue(name)
+
+
+def test_factors_that_break_on_one_rank_break_on_all(operators, monkeypatch):
+    layout = operators.layout
+    parts = parts_of(operators.blocks, layout, operators.scales.length, np.zeros(0, dtype=int))
+    matrix = PETSc.Mat().createAIJ(_square(layout), nnz=1, comm=layout.comm)
+    _set_diagonal(matrix, np.ones(layout.solid_count + layout.flow_count))
+    filled = SimpleNamespace(matrix=matrix, standing=lambda: nullcontext(matrix), stood=0.0, alphas=0.0)
+    context = FracturedRock(parts, filled, "monolithic", 1)
+    breaks = PETSc.Error(76) if layout.comm.rank == layout.comm.size - 1 else None
+    monkeypatch.setattr(SmallSystem, "factor", lambda self: breaks)
+    with pytest.raises(Unsolved, match="76"):
+        context.setUp(PETSc.PC())
+    context.destroy(PETSc.PC())
+    matrix.destroy()
 
 
 def _square(layout):

@@ -9,6 +9,7 @@ from test_cut import _grid
 from fracflow._petsc import MPI
 from fracflow.diagnostics import pre_run_checks
 from fracflow.diagnostics.joints import gather
+from fracflow.diagnostics.well_parts import parts_with_wells
 from fracflow.errors import InputError
 from fracflow.mesh.cut_mesh import cut_mesh, near_mesh
 from fracflow.mesh.distribute import distribute
@@ -16,7 +17,6 @@ from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.split import split
 from fracflow.mesh.store import load_mesh, save_mesh
-from fracflow.model.network_parts import parts_with_wells
 from fracflow.model.setup import fitting, looked_at, place
 from fracflow.output.catalogue import fault_ends
 from fracflow.reduction.unresolved import WeakJoints, unresolved

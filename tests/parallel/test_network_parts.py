@@ -7,8 +7,9 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.model.mass import inverse_mass
-from fracflow.model.network_parts import Parts, change_volume, close, closure_row, leaving
+from fracflow.model.network_parts import NetworkComponents, leaving
 from fracflow.model.setup import on_root
+from fracflow.model.undrained import change_volume, close, closure_row
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load
 from fracflow.solve.clusters import find_clusters
@@ -38,7 +39,7 @@ def conducts(blocks, share):
 def facts_of(model, share):
     """Node numbers of the mesh -> what is known of the component, and each component's text and closures' rows."""
     ops = model.operators
-    parts, comm = Parts(ops, conducts(ops.blocks, share)), ops.layout.comm
+    parts, comm = NetworkComponents(ops, conducts(ops.blocks, share)), ops.layout.comm
     some = parts.any_of(ops.blocks.flow.ids % 5 == 0)
     moves = change_volume(ops, parts, model.loads.fixed_solid)
     assert np.array_equal(parts.own, parts.at(ops.layout.flow_starts[comm.rank] + np.arange(len(parts.own))))

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from fracflow.errors import MOST_NAMED, NotConverged
-from fracflow.model.network_parts import Parts, conducting
+from fracflow.model.network_parts import NetworkComponents, conducting
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS
@@ -85,7 +85,10 @@ def _sealed(problem: StepProblem) -> str:
     """The parts of the network in which no pressure is prescribed, with all their fractures. Collective."""
     assert problem.conduction is not None
     operators, held = problem.operators, problem.loads.fixed_flow
-    layout, parts = operators.layout, Parts(operators, conducting(operators, problem.conduction.conductance))
+    layout, parts = (
+        operators.layout,
+        NetworkComponents(operators, conducting(operators, problem.conduction.conductance)),
+    )
     own = int(layout.flow_starts[layout.comm.rank]) + np.arange(layout.flow_count)
     shut, count = parts.listed(~parts.any_of(np.isin(layout.flow_numbers(own), held)), MOST_NAMED)
     named = parts.named(shut)

@@ -18,11 +18,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy, timed
+from fracflow.errors import Unsolved
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, rows_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
+from fracflow.solve.fractured_rock.small_system import SmallSystem
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
@@ -89,13 +91,15 @@ class FracturedRock:
         """Make the solvers. ``parts`` are destroyed with this; a node has ``node`` unknowns, or 1. Collective."""
         self.parts, self.filled, self.node = parts, filled, node
         self.left = filled.matrix.createVecLeft()
-        self.solvers: dict[str, PETSc.KSP] = {}
         self.systems: dict[str, PETSc.Mat] = {}
         self.vectors: dict[str, tuple[PETSc.Vec, PETSc.Vec]] = {}
-        for part in ("intact", "jumps", "strips"):
-            self.solvers[part] = PETSc.KSP().create(comm=filled.matrix.getComm())
-            self.solvers[part].setOptionsPrefix(f"{prefix}_{part}_")
-            self.solvers[part].setFromOptions()
+        self.comm = filled.matrix.getComm().tompi4py()
+        self.cycle = PETSc.KSP().create(comm=self.comm)
+        self.cycle.setOptionsPrefix(f"{prefix}_intact_")
+        self.cycle.setFromOptions()
+        # two ranks, which factor at the same time
+        ranks = {"jumps": self.comm.size - 1, "strips": max(self.comm.size - 2, 0)}
+        self.small = {part: SmallSystem(self.comm, f"{prefix}_{part}_", rank) for part, rank in ranks.items()}
         self.without: PETSc.Mat | None = None  # W' A_0 W but for what lies within the strips
         self.beside: PETSc.Mat | None = None
         self.change: PETSc.Mat | None = None
@@ -105,7 +109,10 @@ class FracturedRock:
 
     @timed("FracRockSetUp")
     def setUp(self, _: PETSc.PC) -> None:
-        """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
+        """Take the present joints into the small systems, and the rock anew where the time step differs.
+
+        Raises Unsolved, on every rank. Collective.
+        """
         whole, parts, systems = self.filled.matrix, self.parts, self.systems
         is_other = "intact" not in systems or self._alphas != self.filled.alphas
         if is_other or self._stood != self.filled.stood:
@@ -116,16 +123,23 @@ class FracturedRock:
                 self._renew_standing(stands)
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems["strips"])
         self._add_joints()
-        for part in ("jumps", "strips"):
-            self.solvers[part].setOperators(systems[part])
+        for part, small in self.small.items():
+            small.take(systems[part])
+        self._agree([small.factor() for small in self.small.values()])
         for part in systems.keys() - self.vectors.keys():
             self.vectors[part] = systems[part].createVecs()
         if self.near is None:
             self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
 
+    def _agree(self, errors: list[PETSc.Error | None]) -> None:
+        """Raise Unsolved, on every rank, where factors of any rank broke. Collective."""
+        here = max((error.ierr for error in errors if error is not None), default=0)
+        if code := self.comm.allreduce(here, op=MPI.MAX):
+            raise Unsolved(f"multigrid: a small system has no factors (PETSc's error {code})")
+
     def _renew_intact(self, stands: PETSc.Mat) -> None:
         """E' A_0 E, in hypre's own format where hypre solves for it: it would keep a copy in that format beside. Collective."""
-        solver, systems = self.solvers["intact"], self.systems
+        solver, systems = self.cycle, self.systems
         if "intact" in systems:
             solver.reset()
             systems.pop("intact").destroy()
@@ -169,23 +183,29 @@ class FracturedRock:
         assert self.near is not None
         result.set(0.0)
         given.copy(self.left)
-        for part, moved in (("intact", self.parts.intact), ("jumps", self.parts.jumps)):
+        moves = ("intact", self.parts.intact, self.cycle), ("jumps", self.parts.jumps, self.small["jumps"])
+        for part, moved, solver in moves:
             found, right = self.vectors[part]
             moved.multTranspose(self.left, right)
-            self.solvers[part].solve(right, found)
+            solver.solve(right, found)
             moved.multAdd(found, result, result)
             self.filled.matrix.mult(result, self.left)
             self.left.aypx(-1.0, given)
         found, right = self.vectors["strips"]
         self.near.scatter(self.left, right)
-        self.solvers["strips"].solve(right, found)
+        self.small["strips"].solve(right, found)
         self.near.scatter(found, result, addv=PETSc.InsertMode.ADD_VALUES, mode=PETSc.ScatterMode.REVERSE)
 
     def destroy(self, _: PETSc.PC) -> None:
         """Free all. Collective."""
         destroy(self.parts.intact, self.parts.jumps, self.parts.strips, self.left, self.near)
         destroy(self.beside, self.without, self.change)
-        destroy(*self.solvers.values(), *self.systems.values(), *(v for pair in self.vectors.values() for v in pair))
+        destroy(
+            self.cycle,
+            *self.small.values(),
+            *self.systems.values(),
+            *(v for pair in self.vectors.values() for v in pair),
+        )
 
 
 def _shift(system: PETSc.Mat) -> None:
