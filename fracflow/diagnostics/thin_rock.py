@@ -9,12 +9,11 @@ import numpy as np
 
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.plane.sizes import SLENDER
+from fracflow.mesh.plane.sizes import ROOT, SLENDER
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
 ALONG = (1.0 + SLENDER**2) ** -0.5  # the cosine of the angle of such a wedge
-ROOT = 8.0  # joints in the thickness where a wedge ends: openings err by 4 % at 6 degrees, with 1 by 11, with 16 by 1 %
 FACING = 1.0
 """Joints in the gap of fractures side by side. The volume of the shorter errs by 3 to 7 %, with 0.6 by 5 to 14 %."""
 COVERED = 8.0

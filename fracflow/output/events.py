@@ -26,7 +26,7 @@ OF_EVENTS = (
     "sections", "length", "mean_slip", "stress_drop", "moment", "magnitude", "radiated", "dissipated", "dropped",
     "unclosed", "injected",
 )  # fmt: skip
-"""Columns that only rows of kind "event" have; their place is that of the fastest section as they begin, their slip the largest."""
+"""Columns that only rows of kind "event" have; their place is the fastest section as they begin, their slip the largest."""
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
 _BEFORE = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)  # version 0.1.0
 LATEST = "start_latest"

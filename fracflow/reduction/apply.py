@@ -52,7 +52,7 @@ def reduction_input(model: Model) -> ReductionInput:
         jumps=ops.layout.comm.allreduce(len(ops.joints.weights), op=MPI.SUM) * ops.joints.dim,
         ranks=ops.layout.comm.size,
         damps=ops.damping is not None,
-        rock=rock_choice(scene, ops.layout.comm, int(ops.layout.solid_starts[-1])),
+        rock=rock_choice(scene, ops.layout.comm, int(ops.layout.solid_starts[-1]), ops.far is not None),
     )
     if not facts.leaves_out or not asks_period(scene):
         return facts

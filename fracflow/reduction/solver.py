@@ -38,7 +38,7 @@ def new_factors(facts: ReductionInput) -> Iterator[Decision]:
     if not _solves(reduced(facts)):
         return
     total = facts.unknowns + facts.pressures
-    swift = facts.ranks == 1 and is_swift(facts.unknowns, facts.ranks)
+    swift = is_swift(facts.unknowns, facts.ranks) and not facts.rock.is_dense
     kept, worth = are_kept(facts.scene, total, swift), solves_per_factor(total, swift)
     criterion = "solves in the time of a factorisation"
     saves = f"a factorisation where {USUAL} solves serve"

@@ -267,8 +267,8 @@ def _stepped(
     model: Model, recorder: Recorder, step: Step, observer: Observer, is_on_record: bool = True
 ) -> tuple[Step, SolveError | Interrupted | DiskError | OtherRock | None]:
     """All steps of a model, by solvers of its own; as ``_steps``. Collective."""
-    layout = model.operators.layout
-    rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]))
+    layout, far = model.operators.layout, model.operators.far
+    rock = rock_choice(model.scene, layout.comm, int(layout.solid_starts[-1]), far is not None)
     set_defaults(model.scene.petsc, rock, layout.comm.size)
     if rock.by_multigrid:
         recorder.log(note(f"{rock.why}: multigrid in the place of a factorisation of the rock"))

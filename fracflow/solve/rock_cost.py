@@ -129,12 +129,14 @@ class RockChoice:
     unknowns  displacements on all ranks
     memory    at hand [bytes]
     why       in words
+    is_dense  the rock's matrix has an entry for each two unknowns, as without a mesh and multipoles
     """
 
     by_multigrid: bool = False
     unknowns: int = 0
     memory: float = math.inf
     why: str = "no cost was asked for"
+    is_dense: bool = False
 
     @property
     def cost(self) -> Cost:
@@ -168,11 +170,14 @@ class RockChoice:
         return cls(takes, unknowns, memory, f"{expected}, {memory / 1e9:.3g} GB at hand")
 
 
-def rock_choice(scene: Scene, comm: MPI.Comm, unknowns: int) -> RockChoice:
-    """The choice for so many displacements on these ranks, by the memory that they have. Collective."""
+def rock_choice(scene: Scene, comm: MPI.Comm, unknowns: int, has_far: bool = False) -> RockChoice:
+    """The choice for so many displacements on these ranks, by the memory that they have. Collective.
+
+    has_far  far walls of rock without a mesh act by multipoles
+    """
     memory = memory_at_hand(comm)
     if scene.is_unbounded:  # it has no grids
-        return RockChoice(False, unknowns, memory, "rock that is not meshed")
+        return RockChoice(False, unknowns, memory, "rock that is not meshed", is_dense=not has_far)
     return RockChoice.of(scene.method, unknowns, memory)
 
 

@@ -1,9 +1,10 @@
-"""``scripts/figures plan [-o DIR] [--only NAME ...] [--seeds N] [--wide N]``: scenes as the plan has them against all in them.
+"""``scripts/figures plan [-o DIR] [--only NAME ...] [--seeds N] [--wide N] [--join]``: scenes as planned against all in them.
 
 Every scene of meshes/ (by its folder), the injection of W7, a network, random scenes, and random ones in wide rock are run
 twice, as they stand and with ``model = "full"``. Exit code 1 where what they tell is further apart than the tolerance, where
 one run alone fails, where a longer run takes more time as the plan has it, where no injection takes a third of the time, or
-where fewer than ten of all scenes do.
+where fewer than ten of all scenes do. With ``--join`` scenes that have a row in DIR/plan.csv are not run again, and those that
+are run join them: the figure may be made in parts.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +24,7 @@ from sheets import BLUE, GREEN, GRID, INK, ORANGE, PALE, ROOT, STYLE, Check, jud
 
 import fracflow
 from figures_plan.scenes import network, scene
-from figures_plan.twins import TooLong, Twins, full_of, once, twins
+from figures_plan.twins import TooLong, full_of, once, twins
 from figures_plan.wide import wide
 from fracflow.errors import InputError
 from fracflow.scene.scene import Scene
@@ -44,16 +45,34 @@ TRIES = 3  # of a time that misses its bar: other programs take their share of t
 MOST = 600  # records of a random scene; most have 21
 NAMED = 6  # scenes of which most time is saved
 LEAST = 1e-16  # error that is drawn for none
+RANDOM = ("random", "wide")
+PARTS = ("probes", "events", "energy")
+COLUMNS = ("scene", "cpu_full_s", "cpu_reduced_s", *PARTS, "tolerance", "ratio", "worst", "stopped", "remark")
 
 
 class Entry(NamedTuple):
-    """A scene, what it is called, the CPU seconds of both runs, and what there is to say of it."""
+    """A row: a scene, the CPU seconds of both runs, and what there is to say of them.
+
+    errors   largest of each of PARTS, nan where there is none
+    ratio    the worst one over the tolerance; infinite where one run alone has failed
+    worst    where that is
+    stopped  why a run ended early, else empty
+    """
 
     name: str
-    twins: Twins
     full: float
     reduced: float
+    errors: tuple[float, ...]
+    tolerance: float
+    ratio: float
+    worst: str
+    stopped: str
     remark: str
+
+    @property
+    def both_failed(self) -> bool:
+        """Whether neither run came to its end."""
+        return bool(self.stopped) and self.ratio < np.inf
 
 
 def main() -> int:
@@ -61,24 +80,36 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "runs" / "figures" / "plan", metavar="DIR")
     known = (*NAMES, INJECTION, NETWORK, "random", "wide")
-    parser.add_argument("--only", nargs="+", choices=known, default=known, metavar="NAME", help=", ".join(known))
+    several = f"{', '.join(known)}, or one as 'wide 13'"
+    parser.add_argument("--only", nargs="+", type=asked, default=known, metavar="NAME", help=several)
     parser.add_argument("--seeds", type=int, default=24, help="random scenes that at least one run solves (24)")
     parser.add_argument("--wide", type=int, default=30, help="random scenes in wide rock (30)")
     parser.add_argument(
         "--reduced", nargs="+", default=(), metavar="TABLE.KEY=VALUE", help="settings of the reduced runs alone"
     )
+    parser.add_argument("--join", action="store_true", help="keep the rows that are in DIR/plan.csv, and add to them")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
-    entries = []
+    rows = given.output / "plan.csv"
+    known_rows = {entry.name: entry for entry in read(rows)} if given.join and rows.exists() else {}
+    entries = list(known_rows.values())
     with tempfile.TemporaryDirectory() as folder:
         once(scene_of("r01_inclined_joint", Path(folder)))  # what is loaded once is no one's time
-        for entry in measure(given.only, (given.seeds, given.wide), given.reduced, Path(folder)):
+        for entry in measure(given.only, (given.seeds, given.wide), given.reduced, Path(folder), known_rows):
             print(f"{entry.name}: {told(entry)}", flush=True)
             entries.append(entry)
-            write(entries, given.output / "plan.csv")  # a run that is stopped keeps its rows
+            write(entries, rows)  # a run that is stopped keeps its rows
     with matplotlib.rc_context(STYLE):
         draw(entries, given.output)
     return judge(check(entries), given.output)
+
+
+def asked(name: str) -> str:
+    """A name of ``--only``; raises ValueError for others."""
+    kind, _, seed = name.partition(" ")
+    if name not in (*NAMES, INJECTION, NETWORK, *RANDOM) and not (kind in RANDOM and seed.isdecimal()):
+        raise ValueError(name)
+    return name
 
 
 def scene_of(name: str, folder: Path) -> Scene:
@@ -87,29 +118,39 @@ def scene_of(name: str, folder: Path) -> Scene:
         return Scene.from_data(network(), MESHES / "network.toml")
     if name == INJECTION:
         return fracflow.load(w7.written(folder, CELLS, STEPS))
+    kind, _, seed = name.partition(" ")
+    if kind in RANDOM:
+        return Scene.from_data((scene if kind == "random" else wide)(int(seed)), MESHES / f"{kind}.toml")
     settings = [SHORTENED[name][0]] if name in SHORTENED else []
     return fracflow.load(MESHES / name / "scene.toml", ["output.pictures=false", *settings])
 
 
-def measure(names: Sequence[str], seeds: tuple[int, int], reduced: Sequence[str], folder: Path) -> Iterator[Entry]:
-    """All twins that are asked for; a random scene that neither solves gives way to the next seed."""
+def measure(
+    names: Sequence[str], seeds: tuple[int, int], reduced: Sequence[str], folder: Path, known: Mapping[str, Entry]
+) -> Iterator[Entry]:
+    """All twins that are asked for but not ``known``; a random scene that neither solves gives way to the next seed."""
     for name in names:
-        if name not in ("random", "wide"):
-            yield pair(name, scene_of(name, folder), reduced, SHORTENED.get(name, ("", ""))[1])
+        if name not in (*RANDOM, *known):
+            long = LONG_ENOUGH if name.startswith("wide") else LONG
+            yield pair(name, scene_of(name, folder), reduced, SHORTENED.get(name, ("", ""))[1], long=long)
     solved = 0
     for seed in count() if "random" in names else ():
         if solved == seeds[0]:
             break
         name = f"random {seed}"
+        if name in known:
+            solved += not known[name].both_failed
+            continue
         try:
-            entry = pair(name, Scene.from_data(scene(seed), MESHES / "random.toml"), reduced, "", most=MOST)
+            entry = pair(name, scene_of(name, folder), reduced, "", most=MOST)
         except TooLong:
             print(f"{name}: more than {MOST} records; the next seed takes its place", flush=True)
             continue
-        solved += not both_failed(entry.twins)
+        solved += not entry.both_failed
         yield entry
     for seed in range(seeds[1] if "wide" in names else 0):
-        yield pair(f"wide {seed}", Scene.from_data(wide(seed), MESHES / "wide.toml"), reduced, "", long=LONG_ENOUGH)
+        if (name := f"wide {seed}") not in known:
+            yield pair(name, scene_of(name, folder), reduced, "", long=LONG_ENOUGH)
 
 
 def pair(
@@ -125,31 +166,27 @@ def pair(
         if max(full, less) > long and less > SLOWER * full and not reduced:
             full, less = min(full, once(full_of(scene)).seconds), min(less, once(scene).seconds)
     if found.coarse is not None:
-        remark = f"against a mesh twice as fine, from which the scene's own is {found.coarse:.2g} away"
-    return Entry(name, found, full, less, remark)
-
-
-def both_failed(found: Twins) -> bool:
-    """Whether neither run came to its end."""
-    return bool(found.full.failure and found.reduced.failure)
+        remark = f"against the limit of its mesh and one twice as fine, from which its own is {found.coarse:.2g} away"
+    errors = tuple(found.gaps[part].error if part in found.gaps else np.nan for part in PARTS)
+    stopped = found.full.failure or found.reduced.failure
+    return Entry(name, full, less, errors, found.tolerance, found.ratio, found.worst, stopped, remark)
 
 
 def told(entry: Entry) -> str:
     """One line."""
-    found = entry.twins
-    apart = ", ".join(f"{name} {gap.error:.1e}" for name, gap in found.gaps.items())
+    apart = ", ".join(f"{name} {error:.1e}" for name, error in zip(PARTS, entry.errors, strict=True) if error == error)
     times = f"full {entry.full:.2f} s, reduced {entry.reduced:.2f} s"
-    where = f"; worst {found.worst}" if found.ratio > 1.0 else ""
-    failed = f"; both stopped: {found.full.failure}" if both_failed(found) else ""
-    return f"{times}; {apart}; error/tolerance {found.ratio:.1e}{where}{failed}{'; ' if entry.remark else ''}{entry.remark}"
+    where = f"; worst {entry.worst}" if entry.ratio > 1.0 else ""
+    failed = f"; both stopped: {entry.stopped}" if entry.both_failed else ""
+    return f"{times}; {apart}; error/tolerance {entry.ratio:.1e}{where}{failed}{'; ' if entry.remark else ''}{entry.remark}"
 
 
 def check(entries: Sequence[Entry]) -> list[Check]:
     """The bars."""
-    worst = max(entries, key=lambda entry: entry.twins.ratio)
-    apart = [entry.name for entry in entries if not entry.twins.ratio <= 1.0]
+    worst = max(entries, key=lambda entry: entry.ratio)
+    apart = [entry.name for entry in entries if not entry.ratio <= 1.0]
     checks = [
-        Check("worst error over tolerance", f"{worst.twins.ratio:.2g} ({worst.name})", "<= 1", not apart),
+        Check("worst error over tolerance", f"{worst.ratio:.2g} ({worst.name})", "<= 1", not apart),
         Check("scenes beyond it", ", ".join(apart) or "none", "none", not apart),
     ]
     wide_ones = [entry for entry in entries if entry.name.startswith("wide")]
@@ -179,27 +216,33 @@ def write(entries: Sequence[Entry], path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         file.writelines(f"# {line}\n" for line in (*made_with(), f"command: {COMMAND}"))
         rows = csv.writer(file, lineterminator="\n")
-        parts = ("probes", "events", "energy")
-        about = ("tolerance", "ratio", "worst", "stopped", "remark")
-        rows.writerow(["scene", "cpu_full_s", "cpu_reduced_s", *parts, *about])
+        rows.writerow(COLUMNS)
         for entry in entries:
-            found = entry.twins
-            errors = [found.gaps[part].error if part in found.gaps else np.nan for part in parts]
-            numbers = [f"{n:.4g}" for n in (entry.full, entry.reduced, *errors, found.tolerance, found.ratio)]
-            stopped = found.full.failure or found.reduced.failure
-            rows.writerow([entry.name, *numbers, found.worst, stopped, entry.remark])
+            numbers = [f"{n:.4g}" for n in (entry.full, entry.reduced, *entry.errors, entry.tolerance, entry.ratio)]
+            rows.writerow([entry.name, *numbers, entry.worst, entry.stopped, entry.remark])
+
+
+def read(path: Path) -> list[Entry]:
+    """The rows of such a file, whose numbers have four digits."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.reader(line for line in file if not line.startswith("#"))][1:]
+    found = []
+    for name, full, reduced, *rest in rows:
+        *errors, tolerance, ratio = map(float, rest[:-3])
+        found.append(Entry(name, float(full), float(reduced), tuple(errors), tolerance, ratio, *rest[-3:]))
+    return found
 
 
 def draw(entries: Sequence[Entry], folder: Path) -> None:
     """CPU of the two against each other, and the error of each scene over its tolerance."""
-    apart = [entry for entry in entries if entry.twins.ratio > LEAST]
+    apart = [entry for entry in entries if entry.ratio > LEAST]
     figure, axes = sheet(
         "Scenes without the parts that they do not need",
         'Each scene as it stands and with model = "full", which leaves nothing out: its cost, and how far results are apart.',
         [["cpu", "error"]], (8.8, max(5.0, 2.0 + 0.17 * len(apart))), width_ratios=[1.15, 1.0],
     )  # fmt: skip
     full, reduced = (np.array([getattr(entry, name) for entry in entries]) for name in ("full", "reduced"))
-    errors = np.array([entry.twins.ratio for entry in apart])
+    errors = np.array([entry.ratio for entry in apart])
     colours = [colour_of(entry) for entry in entries]
     ends = np.array([0.7 * min(full.min(), reduced.min()), 1.4 * max(full.max(), reduced.max())])
     for times, text in ((1.0, "equal"), (1.0 / FASTER, f"{FASTER:g} times less")):

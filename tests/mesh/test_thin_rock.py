@@ -1,10 +1,13 @@
 """Thin rock at tips: lines where joints do not resolve it, and by how much too stiffly triangles bend."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from figures_verification.runs import solve
 
 from fracflow.diagnostics.thin_rock import FREE, LOCKS, thin_rock_lines
+from fracflow.mesh.plane.sizes import ERROR_OF_WEDGE, ROOT
 from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
 
@@ -126,3 +129,13 @@ def test_triangles_bend_too_stiffly_by_the_square_of_their_size():
     coarse, wanted, fine = volumes
     assert 1.0 < fine / coarse / (1.0 + LOCKS * 2.0**2) < 1.1
     assert fine / wanted < 1.05
+
+
+def test_openings_beside_a_wedge_err_by_the_joints_at_its_end(monkeypatch):
+    """One home for the error by which meshes are made finer there, and others told."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts" / "benches")
+    from wedge import errors
+
+    found = errors(6.0, (1.0, ROOT))
+    for joints in found:
+        assert 0.5 < found[joints][1] / ERROR_OF_WEDGE[joints] < 1.5

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from figures_plan.__main__ import MESHES
+from figures_plan.__main__ import MESHES, Entry, read, write
 from figures_plan.scenes import scene
-from figures_plan.twins import Ran, gaps, twins
+from figures_plan.twins import Ran, gaps, limit, twins
 from figures_plan.wide import wide
 
 from fracflow.scene.scene import Scene, load
@@ -31,7 +31,7 @@ def test_a_scene_of_meshes():
 
 
 def test_a_random_scene_in_wide_rock():
-    """Without sides and mesh, in less time, and nearer to a mesh twice as fine than the scene's own mesh is."""
+    """Without sides and mesh, in less time, and nearer to the limit of two meshes than the scene's own mesh is."""
     found = twins(Scene.from_data(wide(29, joints=32), Path("wide.toml")))
     assert not found.full.failure and found.full.has_cells and not found.reduced.has_cells
     assert found.coarse is not None and found.tolerance < found.coarse
@@ -78,3 +78,22 @@ def test_gaps_of_events():
     assert gap(full, made(times, times, [2]), "events") == pytest.approx(0.3 - 0.01)  # beside the one 3 s earlier
     short = {**full.events[0], "start": 8.0, "end": 8.1, "slip": 1e-3, "peak_slip_rate": 0.0}
     assert gap(full, full._replace(events=[*full.events, short]), "events") == pytest.approx(1e-3)
+
+
+def test_the_limit_of_two_meshes_has_no_error_of_first_order():
+    """Values 2 + 0.4 and 2 + 0.2; runs with other instants have no common limit, and the finer one decides."""
+    own, fine = made([0, 1, 2], [0, 1.4, 2.4]), made([0, 1, 2], [0, 1.2, 2.2])
+    assert limit(own, fine).history["probe/a/pressure"] == pytest.approx([10.0, 11.0, 12.0])
+    other = made([0, 1, 1.5], [0, 1.2, 2.2])
+    assert limit(own, other) is other
+
+
+def test_rows_of_a_figure_in_parts_are_read_as_they_were_written(tmp_path):
+    """Also where a run has no events, or one alone has failed."""
+    rows = [
+        Entry("wide 3", 4.0, 0.5, (1e-3, np.nan, 2e-4), 0.01, 0.1, "probe/a at 1", "", "a remark, of a mesh"),
+        Entry("random 1", 2.0, 1.5, (np.nan, np.nan, np.nan), 0.01, np.inf, "reduced run failed: why", "why", ""),
+    ]
+    write(rows, tmp_path / "plan.csv")
+    found = read(tmp_path / "plan.csv")
+    assert repr(found) == repr(rows) and not found[1].both_failed
