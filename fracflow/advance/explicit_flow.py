@@ -6,16 +6,7 @@ from dataclasses import replace
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.advance.network import FlowNetwork
-from fracflow.advance.wells import (
-    most_tries,
-    names_of,
-    one_changed,
-    reached_after,
-    reached_before,
-    refuse_cycle,
-    refuse_outlets,
-    well_step,
-)
+from fracflow.advance.wells import Trials, names_of, reached_after, well_step
 from fracflow.errors import NotConverged
 from fracflow.integrators import Explicit
 from fracflow.integrators.explicit import joint_share
@@ -69,9 +60,8 @@ class ExplicitFlow:
         network, depth, loads = self.network, self.model.scene.flow_depth, request.loads
         rule = StepRule(RULE.alphas(request.length), around, inertia=True)
         network.update(self.now)
-        reached = reached_before(loads, self.now) if loads.limits else frozenset[Limit]()
-        failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
-        for _ in range(most_tries(loads)):
+        trials = Trials(loads, self.now)
+        for reached in trials:
             limited = self._at(loads, reached)
             asked = replace(request, loads=network.close(limited, stores=True))
             refuse_closed(asked.loads, request.time)
@@ -82,24 +72,18 @@ class ExplicitFlow:
             except NotConverged as error:
                 if self._is_closed(problem, limited):
                     raise
-                failed, is_same = error, False
+                trials.fails(error, error.newton)
                 continue
-            spent += cost.iterations
             opened, is_same = problem.opened(change), self._is_closed(problem, limited)
             new = problem.accepted(opened)
             now = reached_after(problem, request, reached, new, depth) if loads.limits else reached
-            if now == reached and is_same:
+            if trials.agrees(now, is_same, cost.iterations):
                 self._step, self._opened = replace(request, loads=limited), opened
                 self._next = replace(new, **names_of(reached))
-                return new.sections, StepReport(spent, 0, 1, spent, cost.motion, cost.flow)
+                return new.sections, StepReport(trials.spent, 0, 1, trials.spent, cost.motion, cost.flow)
             free_flow(new)
             opened.destroy()
-            cycles = is_same and (cycles or now in tried)
-            reached, failed = one_changed(reached, now) if cycles else now, None
-            tried.add(reached)
-        if is_same and not failed:
-            refuse_cycle(reached, request.time, spent)
-        refuse_outlets(request.time, spent, failed)
+        trials.refuse(request.time)
 
     def accept(self, sections: Sections) -> Growth:
         """Go on from what was solved, with the records of its sections; how apertures have grown. Collective."""

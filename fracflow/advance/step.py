@@ -15,18 +15,7 @@ from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.slip_rate import creeps
-from fracflow.advance.wells import (
-    TRIES_A_LIMIT,
-    most_tries,
-    names_of,
-    one_changed,
-    reached_after,
-    reached_before,
-    refuse_cycle,
-    refuse_outlets,
-    through,
-    well_step,
-)
+from fracflow.advance.wells import TRIES_A_LIMIT, Trials, names_of, reached_after, reached_before, through, well_step
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas, Steady, Stepper, first, stepper_from
 from fracflow.laws import LawStep
@@ -239,12 +228,11 @@ class SingleStep:
         loads = request.loads if stepper.inertia else solvers.standing(request.loads)
         request = replace(request, loads=loads)
         rule = rule_of(stepper, state, request, self.stepper)
-        reached = reached_before(loads, state) if loads.limits else frozenset()
+        trials = Trials(loads, state)
         if ops.flow is not None:
             network.update(state)
         trial = self._foreseen(rule, state, request)
-        failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
-        for _ in range(most_tries(loads)):
+        for reached in trials:
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
             problem = StepProblem(ops, state, asked, rule, trial, solvers.work)
@@ -254,13 +242,12 @@ class SingleStep:
                 digits, is_same, full = self._checked(problem, new, limited, stepper.storage)
                 trial = None if is_same else problem.initial_guess()
             except NotConverged as error:
-                spent += problem.tried
-                failed = error.after(spent)
+                trials.fails(error, problem.tried)
                 if self._is_closed(problem, limited, stepper.storage):
                     full = network.overfull(limited, stepper.storage, problem)
                     if not full:
                         raise
-                    reached |= full
+                    trials.reached |= full
                 trial = problem.initial_guess()
                 continue
             finally:
@@ -268,18 +255,12 @@ class SingleStep:
                 solvers.work.trial.unbalanced = np.inf
             depth = solvers.model.scene.flow_depth
             now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)
-            if now == reached and is_same:
+            if trials.agrees(now, is_same, report.newton):
                 totals = self._totals(stepper, problem, replace(request, loads=limited), now, new)
                 missed = self._missed(state, new) if rule.inertia else 0.0
                 return replace(new, **totals), replace(report, digits=digits, missed=missed)
             new.destroy()
-            spent += report.newton
-            cycles = is_same and (cycles or now in tried)
-            reached, failed = one_changed(reached, now) if cycles else now, None
-            tried.add(reached)
-        if is_same and not failed:
-            refuse_cycle(reached, request.time, spent)
-        refuse_outlets(request.time, spent, failed)
+        trials.refuse(request.time)
 
     def _missed(self, state: State, new: State) -> float:
         """Work that friction of all sections misses in a step [energy per thickness]. Collective."""

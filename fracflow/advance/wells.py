@@ -11,7 +11,7 @@ repeated until the wells at their limits, and those that are shut, agree with it
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NoReturn
 
@@ -120,6 +120,47 @@ def one_changed(before: frozenset[Limit], after: frozenset[Limit]) -> frozenset[
     return frozenset(limit for limit in before if limit.well != well) | {each for each in after if each.well == well}
 
 
+class Trials:
+    """Trials of a step, until its wells at limits and the components of its network are those of its end.
+
+    reached  limits that the next trial holds
+    spent    iterations of all so far
+    """
+
+    def __init__(self, loads: Loads, state: State) -> None:
+        """Begin with the limits of a state."""
+        self.reached = reached_before(loads, state) if loads.limits else frozenset[Limit]()
+        self.spent, self._most = 0, MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)
+        self._failed: NotConverged | None = None
+        self._is_same, self._cycles, self._tried = False, False, {self.reached}
+
+    def __iter__(self) -> Iterator[frozenset[Limit]]:
+        """The limits of each trial, as many as there are at most."""
+        for _ in range(self._most):
+            yield self.reached
+
+    def agrees(self, now: frozenset[Limit], is_same: bool, iterations: int) -> bool:
+        """Whether a trial ends as it began: with the limits ``now`` of its end, and with its components, ``is_same``."""
+        self.spent, self._is_same, self._failed = self.spent + iterations, is_same, None
+        if is_same and now == self.reached:
+            return True
+        self._cycles = is_same and (self._cycles or now in self._tried)
+        self.reached = one_changed(self.reached, now) if self._cycles else now
+        self._tried.add(self.reached)
+        return False
+
+    def fails(self, error: NotConverged, iterations: int) -> None:
+        """Count a trial that did not converge."""
+        self.spent += iterations
+        self._failed = error.after(self.spent)
+
+    def refuse(self, time: float) -> NoReturn:
+        """Raise NotConverged: there were too many."""
+        if self._is_same and self._failed is None:
+            refuse_cycle(self.reached, time, self.spent)
+        refuse_outlets(time, self.spent, self._failed)
+
+
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
     """Raise NotConverged naming the wells that cycle between rate, limit and shut, after so many iterations."""
     found = [sorted({limit.well for limit in reached if limit.is_shut == shut}) for shut in (False, True)]
@@ -130,11 +171,6 @@ def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoRetur
         newton,
         kind="wells",
     )
-
-
-def most_tries(loads: Loads) -> int:
-    """How often a step is solved at most, until its wells and its network are those of its end."""
-    return MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)
 
 
 def names_of(reached: frozenset[Limit]) -> dict[str, Any]:
