@@ -178,8 +178,8 @@ class FixedPoint:
     def _walls(self, problem: StepProblem, keeps: bool) -> NewtonReport:
         """(4.5b) Balance of the walls under these pressures. Raises SolveError, on every rank. Collective.
 
-        keeps  statuses of the last cycle are kept, and the balance holds no better than the pressures are worth; where that
-               fails, and else, statuses are those of the last step
+        keeps  begin with the statuses of the last cycle, and balance walls no better than the pressures are worth. Where that
+               fails, and else, begin with those of the last step
         """
         if keeps:
             self.solid.enough = WORTH * problem.residual.flow
