@@ -24,14 +24,14 @@ from fracflow.reduction.far_sides import one_obstacle
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import (
-    BESIDES,
     ITERATIONS,
-    REFERENCE,
+    OWN,
     break_even,
-    condensed_step,
     condensing,
     fits,
     is_chosen,
+    seconds_by_factors,
+    seconds_condensed,
 )
 from fracflow.solve.condensed_cost import planned as solved
 from fracflow.solve.rock_cost import NUMBER, RockChoice, direct, rock_choice, without_solves
@@ -40,7 +40,6 @@ DENSE = 19.0  # numbers for an entry of the stiffness of rock that is not meshed
 SERIES = 4000.0  # the same for an unknown of rock by multipoles, by scripts/bench multipoles
 PRODUCTS = 10  # in a linear solve there
 MESHES = 5e-5  # seconds a cell takes to be made and set up, by scripts/figures plan --only wide
-OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,8 @@ def _in_event(model: Model, cells: int) -> float:
     jumps = len(model.operators.joints.weights) * model.operators.joints.dim
     plan = condensing(scene, unknowns, jumps, ranks=1, damps=True)
     if is_chosen(scene, plan, RockChoice(unknowns=unknowns)):
-        return condensed_step(unknowns, jumps) * direct(int(REFERENCE)).seconds / ITERATIONS + OWN
-    return direct(unknowns).seconds * (1.0 + BESIDES) + OWN
+        return seconds_condensed(unknowns, jumps)
+    return seconds_by_factors(direct(unknowns).seconds)
 
 
 def _cost(model: Model, steps: int) -> dict[str, str]:
@@ -149,7 +148,7 @@ def _cost(model: Model, steps: int) -> dict[str, str]:
         parts.append(f"{many} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
-        each, made = lasted * (1.0 + BESIDES) + OWN, f"a factorisation, and one took {lasted:.2g} s here"
+        each, made = seconds_by_factors(lasted), f"a factorisation, and one took {lasted:.2g} s here"
         if by_multipoles:
             product = seconds_of_product(model.operators)
             each += PRODUCTS * product

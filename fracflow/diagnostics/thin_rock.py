@@ -118,7 +118,7 @@ def _down(length: float) -> float:
 def _thin_rock(scene: Scene, mesh: SplitMesh) -> Iterator[ThinRock]:
     """All thin rock at tips of fractures in the plane, resolved or not, within ``REACH`` joints."""
     tips = np.argwhere(mesh.joint_bottom == mesh.joint_top)  # walls hang together there
-    if mesh.points.shape[1] != 2 or not len(tips):
+    if mesh.points.shape[1] != 2 or not len(tips) or all(scene.rock[name].rigid for name in mesh.rocks):
         return
     facets = _facets(scene, mesh)
     names, longest = (*mesh.fractures, *mesh.sides), facets.length.max()

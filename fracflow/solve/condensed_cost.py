@@ -16,7 +16,7 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.checks import against_condensing
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import is_meant
-from fracflow.solve.rock_cost import RockChoice, factor_numbers
+from fracflow.solve.rock_cost import RockChoice, direct, factor_numbers
 
 REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
 BESIDES = 0.3  # cost of an iteration on all unknowns beside LU: matrix, solve, balances
@@ -29,6 +29,7 @@ BALANCES = 0.1  # of a condensed step
 # node two joints have the same.
 DENSE, ROWS = 0.005, 0.04
 LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
+OWN = 6e-3  # CPU s of an iteration besides: joint laws, balances, and what they are called by
 ITERATIONS = 2  # of Newton's method in a step in which few joints change
 SWIFT = 12.0  # solves in the time of a factorisation by UMFPACK, of 1e3 to 3e5 unknowns
 USUAL = 3  # iterations of FGMRES with factors made before joints changed
@@ -54,6 +55,16 @@ def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS, ra
     """Cost of a step on the joints, with two solves for the rock [LU of REFERENCE]."""
     rock = 2.0 * (SOLVE if ranks == 1 else SHARED) * _solve(unknowns) + BALANCES * unknowns / REFERENCE + LEAST
     return float(rock + iterations * (DENSE * (jumps / JUMPS) ** 3 + ROWS * (jumps / JUMPS) ** 2))
+
+
+def seconds_condensed(unknowns: int, jumps: int) -> float:
+    """CPU s of an iteration on the joints."""
+    return condensed_step(unknowns, jumps) * direct(int(REFERENCE)).seconds / ITERATIONS + OWN
+
+
+def seconds_by_factors(lasts: float) -> float:
+    """CPU s of an iteration on all unknowns whose factorisation ``lasts`` so many."""
+    return lasts * (1.0 + BESIDES) + OWN
 
 
 def condensing_cost(unknowns: int, jumps: int) -> float:

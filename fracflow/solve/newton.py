@@ -70,6 +70,7 @@ class Newton:
         self.factors = factors_of(scene, self.solver, matrix)
         self.snes.setJacobian(self._jacobian, matrix.whole, self.factors.factored)
         self.least = 0  # iterations in any case
+        self.enough = 0.0  # residual of the solid that serves here, where it is more than the accuracy asked
         self.problem: StepProblem  # from ``solve`` on, as are the rounds
         self.floating: Floating | None = None
         self._krylov = 0
@@ -424,7 +425,7 @@ class Newton:
             return flow and iteration > 0 and self._step <= accuracy.displacement * size
         if self.scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
             return flow and residual.out_of_balance < accuracy.out_of_balance
-        return flow and residual.solid <= accuracy.residual
+        return flow and residual.solid <= max(accuracy.residual, self.enough)
 
     def _failure(self, why: str, iterations: int) -> SolveError:
         problem, rounds = self.problem, self._rounds

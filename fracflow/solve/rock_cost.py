@@ -178,6 +178,8 @@ def rock_choice(scene: Scene, comm: MPI.Comm, unknowns: int, has_far: bool = Fal
     memory = memory_at_hand(comm)
     if scene.is_unbounded:  # it has no grids
         return RockChoice(False, unknowns, memory, "rock that is not meshed", is_dense=not has_far)
+    if scene.method.rock_solver == "auto" and all(rock.rigid for rock in scene.rock.values()):  # nor has this
+        return RockChoice(False, unknowns, memory, "rigid rock")
     return RockChoice.of(scene.method, unknowns, memory)
 
 

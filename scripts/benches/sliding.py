@@ -95,7 +95,7 @@ def run_network(scene: Path, cells: int, ways: tuple[str, ...], folder: Path, pa
         words = [sys.executable, __file__, "--worker", way, str(scene), str(folder / f"run-{way}"), str(result)]
         try:
             done = subprocess.run(words, timeout=patience, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-            last = done.stderr.strip().splitlines()[-1:]
+            last = done.stderr.strip().splitlines()[-1:] or [f"ended with {done.returncode}"]
         except subprocess.TimeoutExpired:
             last = [f"took more than {patience:g} s"]
         text = result.read_text(encoding="utf-8") if result.exists() else json.dumps({"way": way, "failure": last})

@@ -27,7 +27,7 @@ LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"
 
 
-def film(method=None, ends=("start", "end"), rock=1.0, more=None, rate=1e-7, **stage):
+def film(method=None, ends=("start", "end"), rock=1.0, more=None, rate=1e-7, law=None, shear=0.0, **stage):
     """A film between rock far softer than its joint, so that each node has a spring of its own."""
     step = {"kind": "quasi-static", "time_step": 1.0, "steps": 1, **stage}
     return Scene.from_data(
@@ -43,7 +43,9 @@ def film(method=None, ends=("start", "end"), rock=1.0, more=None, rate=1e-7, **s
             "rock": {"rock": {"youngs_modulus": rock, "poissons_ratio": 0.0, "density": 1e-9}},
             "fracture": {"default": {
                 "law": "linear", "normal_stiffness": STIFFNESS, "shear_stiffness": STIFFNESS, "aperture": APERTURE,
+                **(law or {}),
             }},
+            "initial_stress": {"xx": -shear, "yy": -shear, "zz": -shear, "xy": 0.44 * shear},
             "fluid": {"viscosity": VISCOSITY, "specific_weight": 1e4},
             "support": [{"on": ["south", "north"]}],
             "well": [
@@ -169,6 +171,36 @@ def test_factor_with_added_storage_is_that_of_its_end(factor, rate, comm):
     new, report = stepping.step(equilibrium_state(model), StepRequest(dt, dt, {}, model.loads), BackwardEuler())
     assert report.grown > 1.05 and report.cycles > 6
     assert 1e-3 < report.made < 1.0 and 0.8 < report.made / report.measured < 1.25
+    new.destroy()
+    stepping.destroy()
+
+
+def test_nothing_slides_for_a_pressure_that_was_on_its_way(comm, monkeypatch):
+    """The first pressures are 1.6 times the last ones, and the film slides under them. Once it does, it slides on under less.
+
+    It sticks at the last ones, of 1.9 kPa: 4.4 kPa of shear are below tan 30 (10 - 1.9) = 4.7, and above 0.6 times that.
+    """
+    law = {"law": "hyperbolic-coulomb", "friction_angle_deg": 30.0, "stick_slip_ratio": 0.6}
+    scene = film(rock=1e8, rate=2e-7, law=law, shear=1e4)
+    scene = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update={"max_cycles": 200})})
+    model, dt, seen = prepare(scene, comm), rho_of_film(1.0, np.pi / LENGTH) / 0.6, []
+    walls = FixedPoint._walls
+
+    def watched(coupling, problem, keeps):
+        report = walls(coupling, problem, keeps)
+        seen.append((slides(problem.trial_status), keeps))
+        return report
+
+    def slides(history):
+        return comm.allreduce(int(sum(part["sliding"].any(axis=-1).sum() for part in history)))
+
+    monkeypatch.setattr(FixedPoint, "_walls", watched)
+    stepping = Stepping(model)
+    new, report = stepping.step(
+        equilibrium_state(model), StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler()
+    )
+    assert report.cycles > 20 and all(count > 0 and keeps for count, keeps in seen[1:-1]) and seen[0][0] > 0
+    assert seen[-1] == (0, False) and slides(new.sections.history) == 0
     new.destroy()
     stepping.destroy()
 

@@ -125,6 +125,20 @@ def test_scene_or_cost_decides():
     assert not whole.by_multigrid and "whole-lu" in whole.why
 
 
+@pytest.mark.parametrize(
+    "name, given, by_multigrid",
+    [
+        ("5_2", [], False),
+        ("5_2", ["method.rock_solver=multigrid"], True),
+        ("5_3", ["method.coupling=auto"], True),
+    ],
+)
+def test_rigid_rock_has_no_grids(name, given, by_multigrid, comm):
+    """The unknowns of a million rigid blocks are no reason for multigrid, which a scene may still ask for."""
+    found = rock_cost.rock_choice(load(f"meshes/report_{name}/scene.toml", given), comm, 3_000_000)
+    assert found.by_multigrid == by_multigrid and found.unknowns == 3_000_000
+
+
 def test_memory_at_hand_is_that_of_the_machine_its_group_and_its_shell(comm):
     """Ranks of one machine share it."""
     there = rock_cost.memory_at_hand(comm)

@@ -4,6 +4,9 @@ Its contraction is predicted before the first cycle of a step, and measured from
 over to the monolithic solver, where the prediction is not below 1. Relaxed ones (``relaxation``) and those with added storage
 go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more: small
 changes alone would be believed too early.
+
+A cycle goes on from the statuses of the last one. A section may then slide for a pressure that was on its way, and slide on
+where it would also stick. So the last cycles begin with the statuses of the last step, as all other solvers do.
 """
 
 from __future__ import annotations
@@ -37,9 +40,11 @@ from fracflow.solve.newton import Newton
 from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY
+from fracflow.solve.stiffness import NewtonReport
 
 CHANGED = 0.1  # relative change of a conductance or stiffness from which on an earlier prediction is too old
 MEASURED = 3  # cycles of a step that is refused, so that the prediction can be held against something
+WORTH = 1e-3  # of the residual of the flow: walls balanced so well leave the cycles as many (1e-5 and 0 took as many)
 PRESSURE_ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
 
 
@@ -135,8 +140,9 @@ class FixedPoint:
         """Cycles until the balances hold. Raises _Lost when they diverge, or after ``most``. Collective."""
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
         cycles, total, left = Cycles(prediction.factor), StepReport(), np.nan
+        is_settled = False
         for number in range(1, (most or accuracy.max_cycles) + 1):
-            problem.trial_status = problem.state.sections.history  # no section slips for a pressure that was on its way
+            keeps = not is_settled and self._has_changed(problem)
             try:
                 problem.work.factorisations += 1
                 added = self._added(problem, prediction)
@@ -144,7 +150,7 @@ class FixedPoint:
                 step, share = rule(cycles, self._together)
                 cycles = cycles.taking(share)
                 problem.pressure.setArray(problem.pressure.getArray() + step)
-                report = self.solid.solve(problem)
+                report = self._walls(problem, keeps)
             except SolveError as error:
                 raise _Lost(f"in cycle {number}: {error}", total) from error
             changes.append(self._largest(added))
@@ -160,12 +166,36 @@ class FixedPoint:
             size = problem.pressure.norm(PETSc.NormType.INFINITY)
             still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * size)
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
-                return total
+                if not keeps:
+                    return total
+                is_settled = True
             left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
             growing = self.name == "plain" and len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
             if growing or not np.isfinite(changes[-1]):
                 break
         raise _Lost("", total, left)
+
+    def _walls(self, problem: StepProblem, keeps: bool) -> NewtonReport:
+        """(4.5b) Balance of the walls under these pressures. Raises SolveError, on every rank. Collective.
+
+        keeps  begin with the statuses of the last cycle, and balance walls no better than the pressures are worth. Where that
+               fails, and else, begin with those of the last step
+        """
+        if keeps:
+            self.solid.enough = WORTH * problem.residual.flow
+            try:
+                return self.solid.solve(problem)
+            except NotConverged:
+                problem.move(np.zeros(problem.operators.layout.solid_count))
+            finally:
+                self.solid.enough = 0.0
+        problem.trial_status = problem.state.sections.history
+        return self.solid.solve(problem)
+
+    def _has_changed(self, problem: StepProblem) -> bool:
+        """Whether a section has another status than when the step began. Collective."""
+        changed = problem.operators.joints.have_changed(problem.state.sections.history, problem.trial_status)
+        return bool(self.whole_matrix.layout.comm.allreduce(bool(changed.any()), op=MPI.LOR))
 
     @timed("FracFlowSolve")
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
