@@ -1,8 +1,8 @@
 """The catalogue of a run as QuakeML 1.2 BED (Schorlemmer et al. 2011), which ObsPy and other programs of seismology read.
 
 An event has the origin where its fastest section slid as it began. Where the scene has output.event_length, it has its scalar
-moment, its moment magnitude (Hanks and Kanamori 1979), and the moment tensor of a shear fault: the fracture there, and the sense
-of its largest slip. Depth is in metres, downward positive, below sea level. Strike, dip and rake are those of Aki and Richards.
+moment, its magnitude (Hanks and Kanamori 1979), and the moment tensor of a shear fault: the fracture there, and the sense of
+its largest slip. Depth is in metres, downward positive, below sea level. Strike, dip and rake are those of Aki and Richards.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ fracflow.run(fracflow.load(sys.argv[1]), sys.argv[2])
 
 
 def matrix_of(values):
-    """What FreeBlock sees of a matrix, with rows and columns HELD those of the identity."""
+    """A matrix as FreeBlock sees it, with rows and columns HELD those of the identity."""
     count = len(values)
     held = np.isin(np.arange(count), HELD)
     values = np.where(held[:, None] | held, np.eye(count), values)
