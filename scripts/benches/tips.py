@@ -1,9 +1,9 @@
 """Errors of fractures that end in meshed rock, with method.tips plain and corrected: tips.py [JOINTS...] [--random SEED...].
 
 A crack of half length 1 slides and opens in a square of 160, against the exact crack in unbounded rock. Five random cracks,
-of half lengths .6 to 2, are held against the same in rock that is not meshed. Prints the errors in the middle of each, plain and
-corrected. What is left is that of cells that grow by --growth, and of the square. Exit code 1 where a third of the largest
-error is left, or more. The defaults take about a minute of CPU.
+of half lengths .6 to 2, are held against the same in rock that is not meshed. Prints the errors in the middle of each. The rest
+is that of cells that grow by --growth, and of the square. Exit code 1 where a third of the largest error is left, or more. The
+defaults take half a minute of CPU.
 """
 
 from __future__ import annotations
