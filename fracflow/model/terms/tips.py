@@ -57,11 +57,19 @@ class Tips(Term):
         return (note(f'method.tips = "corrected": {self._missing} ends of fractures stay plain: {why}'),)
 
 
-def tips(operators: Operators, scene: Scene) -> tuple[Tips, ...]:
+class Unmeshed(Term):
+    """The entry of the balance in rock that is not meshed, whose tips need nothing here."""
+
+    name = entry = "tips"
+
+
+def tips(operators: Operators, scene: Scene) -> tuple[Term, ...]:
     """The term of a scene whose tips are corrected, if it has tips. Raises InputError in space, on every rank. Collective."""
     blocks = operators.blocks
-    if scene.method.tips == "plain" or scene.is_unbounded:
+    if scene.method.tips == "plain":
         return ()
+    if scene.is_unbounded:  # an event may mesh the rock, and entries of the balance stay
+        return (Unmeshed(),) if scene.has_dynamics else ()
     if blocks.sizes.dim != 2:
         raise InputError('method.tips = "corrected": holds for meshes in the plane alone; leave it out')
     found = excesses(blocks, scene)
