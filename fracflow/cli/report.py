@@ -29,8 +29,8 @@ from fracflow.scene.units import LENGTH, TIME, VOLUME
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
-    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "leak_off",
-    "damping", "scheme", "spurious", "dropped",
+    "kinetic", "rock_strain", "tips", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated",
+    "leak_off", "damping", "scheme", "spurious", "dropped",
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
     "dilation", "change_of_rock",
 )  # fmt: skip

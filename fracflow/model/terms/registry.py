@@ -11,6 +11,7 @@ from fracflow.model.terms.fault_damping import fault_damping
 from fracflow.model.terms.leak_off import leak_off
 from fracflow.model.terms.of_laws import terms_of_laws
 from fracflow.model.terms.term import Term, summed
+from fracflow.model.terms.tips import tips
 from fracflow.scene.scene import Scene
 
 Maker = Callable[[Operators, Scene], Sequence[Term]]
@@ -21,6 +22,7 @@ TERMS: tuple[Maker, ...] = (
     fault_damping,
     leak_off,
     terms_of_laws,
+    tips,
 )
 
 
