@@ -113,7 +113,7 @@ def krylov(case: Case) -> tuple[int, int]:
         first.setOperators(rock.systems["intact"])
         first.setType("fgmres")
         first.setTolerances(rtol=solver.getTolerances()[0], max_it=MOST)
-        first.setPC(rock.solvers["intact"].getPC())
+        first.setPC(rock.cycle.getPC())
         predicted = _solve(first, rock.systems["intact"])
         solver.getPC().setType("none")
         first.destroy()

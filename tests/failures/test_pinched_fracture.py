@@ -74,7 +74,7 @@ def test_a_least_aperture_keeps_it_open_and_is_counted(shared_tmp):
     assert "conducted by minimum_hydraulic_aperture" in (shared_tmp / "run" / "log.txt").read_text()
 
 
-NAMED = r"time 1 s: the walls that are moved change the volume of slot \(7 nodes.*by -0\.0003 per thickness"
+NAMED = r"time 1 s: the walls that are moved change the volume of slot \(7 nodes.*by -0\.0003 m\^2 per thickness"
 
 
 @pytest.mark.parametrize("kind", ["quasi-static", "steady"])

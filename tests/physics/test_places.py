@@ -106,6 +106,6 @@ def test_a_place_beyond_the_end_of_its_fracture_is_refused(shared_tmp):
         file.write_text(channel(turned(0, False)))
     MPI.COMM_WORLD.barrier()
     with pytest.raises(
-        InputError, match=r'well.in: at = 3.5: fracture "slot" is 3.01496 long; give less, or a fraction'
+        InputError, match=r'well.in: at = 3.5 m: fracture "slot" is 3.01496 m long; give less, or a fraction'
     ):
         run(load(file, ['well.in.at={fracture = "slot", at = 3.5}']), shared_tmp / "run")
