@@ -22,6 +22,7 @@ from fracflow.model import energy
 from fracflow.model.terms.absorbing import AbsorbingSides
 from fracflow.model.terms.fault_damping import FaultDamping
 from fracflow.model.terms.leak_off import LeakOff
+from fracflow.model.terms.tips import Tips
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.checkpoint import read_notes
 from fracflow.output.drawing.axes import suited_unit
@@ -181,7 +182,10 @@ stage = [{kind = "steady", time_step = 1, steps = 1}]
 
 
 def test_the_page_names_every_loss_and_the_laws_of_a_scene(tmp_path):
-    entries = {term.entry for term in (AbsorbingSides, FaultDamping, LeakOff)} | {*energy.STORED}
+    entries = {term.entry for term in (AbsorbingSides, FaultDamping, LeakOff, Tips)} | {
+        *energy.STORED,
+        energy.CHANGE_OF_ROCK,
+    }
     assert entries == {*words.STORED, *words.LOST}
     (tmp_path / "scene.toml").write_text(LEAKY)
     lines = " ".join(words.scene_in_words(RunReport(tmp_path, units=SI, scene=fracflow.load(tmp_path / "scene.toml"))))
