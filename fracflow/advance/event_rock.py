@@ -77,8 +77,11 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
     destroy(left, term)
 
     on_sides = 0.0 if old.scene.is_unbounded else _work_on_sides(before, state.motion.displacement)
-    more = stored - (state.energy["rock_strain"] - on_sides)
-    energy = {**state.energy, "rock_strain": stored, CHANGE_OF_ROCK: state.energy.get(CHANGE_OF_ROCK, 0.0) - more}
+    of_terms = _stored_by_terms(ops, displacement)
+    was_stored = sum(state.energy[entry] for entry in ("rock_strain", *of_terms))
+    more = stored - (was_stored - on_sides)
+    energy = {**state.energy, **of_terms, "rock_strain": stored - sum(of_terms.values())}
+    energy[CHANGE_OF_ROCK] = state.energy.get(CHANGE_OF_ROCK, 0.0) - more
     energy["work_boundaries"] -= on_sides
     forces = Forces(
         load, support, *(_moved_flow(before, ops, each) for each in (state.forces.conduction, state.forces.source))
@@ -169,6 +172,20 @@ def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
     most = ops.layout.comm.allreduce(float(np.abs(traction).max(initial=0.0)), op=MPI.MAX)
     size.destroy()
     return float(np.sqrt(sums[0] / max(sums[1], 1e-300))), most
+
+
+def _stored_by_terms(ops: Operators, displacement: PETSc.Vec) -> dict[str, float]:
+    """Energy u'K u/2 of each term that stores some of the rock, none where it has no K, by its entry. Collective."""
+    found = {}
+    for term in ops.terms:
+        if term.stores:
+            found[term.entry] = 0.0
+            if term.stiffness is not None:
+                force = displacement.duplicate()
+                term.stiffness.mult(displacement, force)
+                found[term.entry] = 0.5 * float(force.dot(displacement))
+                force.destroy()
+    return found
 
 
 def _length_of_walls(ops: Operators) -> PETSc.Vec:

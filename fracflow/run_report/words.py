@@ -36,7 +36,7 @@ from fracflow.scene.units import (
 from fracflow.storage.files import shown_plain
 
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
-STORED = ("kinetic", "rock_strain", "tips", "joint_normal", "joint_shear", "fluid_storage")
+STORED = ("kinetic", "rock_strain", "tips", "joint_normal", "joint_shear", "fluid_storage", "change_of_rock")
 LOST = ("friction", "viscous", "radiated", "leak_off", "damping", "scheme", "spurious", "dropped")
 LONGEST_HEAD = 60  # letters that stand before the colon of a line
 MOST_SEEN = 12  # rows of a long table that are seen at once

@@ -73,7 +73,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
     if kind == "fracflow":
         return str(context["text"])
     if kind == "extra_forbidden" and len(path) == 3 and path[0] == "fracture" and path[2] in OF_TRACES:
-        return f"unknown key; a trace is an entry of geometry.fracture: {_as_trace(str(path[1]), error['input'])}"
+        return f"unknown key; a trace stands in geometry, as {_as_trace(str(path[1]), error['input'])} there"
     if kind == "extra_forbidden":
         return f"unknown key; {nearest(str(path[-1]), _model_at(model, path[:-1]).model_fields)}"
     if kind == "missing":
@@ -106,10 +106,10 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
 
 
 def _as_trace(name: str, points: object) -> str:
-    """The line that states the trace of a fracture, with the points given if they fit in it."""
+    """The key of geometry that states the trace of a fracture, with the points given if they fit in it."""
     shown = " ".join(write_value(points).split()) if isinstance(points, list) else ""
     shown = shown if shown.startswith("[[") and len(shown) <= 60 else "[[x1, y1], [x2, y2]]"
-    return f"geometry.fracture = [{{name = {write_value(name[:MOST_LETTERS])}, points = {shown}}}]"
+    return f"fracture = [{{name = {write_value(name[:MOST_LETTERS])}, points = {shown}}}]"
 
 
 def _model_at(model: Any, path: Path) -> type[BaseModel]:

@@ -182,7 +182,10 @@ stage = [{kind = "steady", time_step = 1, steps = 1}]
 
 
 def test_the_page_names_every_loss_and_the_laws_of_a_scene(tmp_path):
-    entries = {term.entry for term in (AbsorbingSides, FaultDamping, LeakOff, Tips)} | {*energy.STORED}
+    entries = {term.entry for term in (AbsorbingSides, FaultDamping, LeakOff, Tips)} | {
+        *energy.STORED,
+        energy.CHANGE_OF_ROCK,
+    }
     assert entries == {*words.STORED, *words.LOST}
     (tmp_path / "scene.toml").write_text(LEAKY)
     lines = " ".join(words.scene_in_words(RunReport(tmp_path, units=SI, scene=fracflow.load(tmp_path / "scene.toml"))))

@@ -71,6 +71,7 @@ class Term:
     entry      of the energy balance that takes the work of its forces [energy per thickness]
     stiffness  K, which ``Operators.stiffness`` has in it [force/length per thickness]
     damping    C, which ``Operators.damping`` has in it; it acts where there is inertia [force time/length per thickness]
+    stores     whether its entry is energy of the rock, which is another one where the rock changes
     drains     whether fluid leaves by it
     has_memory  whether the rate at which it leaves depends on the pressures so far
     """
@@ -79,6 +80,7 @@ class Term:
     entry: str
     stiffness: PETSc.Mat | None = None
     damping: PETSc.Mat | None = None
+    stores: bool = False
     drains: bool = False
     has_memory: bool = False
 

@@ -34,6 +34,7 @@ class Tips(Term):
     """Less stiffness of the first joint at all tips of a scene; its work is what cells there store too much."""
 
     name = entry = "tips"
+    stores = True
 
     def __init__(self, operators: Operators, found: list[tuple[Ints, Floats]], missing: int) -> None:
         """Of local nodes (2,), right and left, and their excess (2, 2), at this rank's tips; how many have none. Collective."""
@@ -61,6 +62,7 @@ class Unmeshed(Term):
     """The entry of the balance in rock that is not meshed, whose tips need nothing here."""
 
     name = entry = "tips"
+    stores = True
 
 
 def tips(operators: Operators, scene: Scene) -> tuple[Term, ...]:
