@@ -95,7 +95,8 @@ def _line(scene: Scene, rock: ThinRock, extent: float) -> str:
     if rock.is_side:
         does = f"the rock bends at least {rock.locking:.2g} times too stiffly, and {rock.fracture} opens too little"
     elif rock.is_covered:
-        does = f"{rock.other} covers all of {rock.fracture}, which where open may open several times too little or too much"
+        far = "several times" if rock.joint >= rock.thickness else "by some tens of per cent"
+        does = f"{rock.other} covers all of {rock.fracture}, which where open may open {far} too little or too much"
     elif rock.meeting is None:
         does = f"where open, {rock.fracture} may open by some tens of per cent too little or too much"
     else:

@@ -194,17 +194,19 @@ def test_joints_remember_their_past(shared_tmp, comm):
 
 
 def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
-    run(load(scene), shared_tmp / "run")
+    """Tips are corrected: they store energy in the mesh of an event alone."""
+    run(load(scene, ["method.tips=corrected"]), shared_tmp / "run")
     history = history_of(shared_tmp / "run")
     now, back = handed(history)
     for name in ("slip", "opening", "shear_traction", "normal_traction"):
         values = history[f"probe/middle/{name}"]
         np.testing.assert_allclose(values[[now, back]], values[[now - 1, back - 1]], rtol=1e-12)
-    entries = (history[f"energy/{name}"] for name in ("rock_strain", "change_of_rock", "work_boundaries"))
-    stored, change, work = (np.diff(each)[[now - 1, back - 1]] for each in entries)
+    entries = (history[f"energy/{name}"] for name in ("rock_strain", "tips", "change_of_rock", "work_boundaries"))
+    stored, tips, change, work = (np.diff(each)[[now - 1, back - 1]] for each in entries)
     rock = np.abs(history["energy/rock_strain"][[now, back]])
-    np.testing.assert_allclose(stored + change - work, 0.0, atol=1e-12 * rock.max())
+    np.testing.assert_allclose(stored + tips + change - work, 0.0, atol=1e-12 * rock.max())
     assert np.all(np.abs(change) > 0.0) and np.all(np.abs(change) < 0.01 * rock)
+    assert tips[0] < 0.0 == history["energy/tips"][back]
     assert work[0] == 0.0 and work[1] != 0.0, "sides that the event has moved"
     record = Run(shared_tmp / "run").plan  # as the run's page and its reader have it
     (made,) = (row for row in record if row["part"] == "mesh of events")
