@@ -53,7 +53,9 @@ class FreeBlock:
             self._made = self._chosen()
         block, rows = self._made[:2]
         block.setUnfactored()
-        block.getDenseArray().T.reshape(-1)[self._places] = self.matrix.matrix.getValuesCSR()[2][self._entries]
+        values = block.getDenseArray().T.reshape(-1)
+        values[:] = 0.0  # entries that the matrix has not are those of the last factors
+        values[self._places] = self.matrix.matrix.getValuesCSR()[2][self._entries]
         block.assemble()
         try:
             block.factorLU(rows, rows)
