@@ -1,4 +1,7 @@
-"""Hyperbolic closure without tension: the normal law that laws with friction share."""
+"""Hyperbolic closure without tension: the normal law that laws with friction share.
+
+``friction.h`` has a compiled copy, which ``tests/laws/test_compiled.py`` holds to it.
+"""
 
 from __future__ import annotations
 

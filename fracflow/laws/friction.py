@@ -1,4 +1,7 @@
-"""Common parts of laws with friction: the elastic trial, the choice between sticking and sliding, and the response."""
+"""Common parts of laws with friction: the elastic trial, the choice between sticking and sliding, and the response.
+
+``friction.h`` has a compiled copy, which ``tests/laws/test_compiled.py`` holds to it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The report's joint law: hyperbolic closure without tension, Coulomb friction with a strength drop."""
+"""The report's joint law: hyperbolic closure without tension, Coulomb friction with a strength drop.
+
+``friction.h`` has a compiled copy, which ``tests/laws/test_compiled.py`` holds to it.
+"""
 
 from __future__ import annotations
 

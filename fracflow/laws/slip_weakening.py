@@ -1,4 +1,7 @@
-"""Friction that falls with slip: the strength drop with a length of its own."""
+"""Friction that falls with slip: the strength drop with a length of its own.
+
+``friction.h`` has a compiled copy, which ``tests/laws/test_compiled.py`` holds to it.
+"""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """`scripts/bench network`: a network of pressures alone, with parts that nothing drains, at steps of all lengths."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 
@@ -14,10 +14,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 def test_steps_of_all_lengths_by_one_factorisation(tmp_path):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     done = subprocess.run(
         [sys.executable, ROOT / "scripts/benches/network.py", "2500", "--kinds", "random", "--out", tmp_path],
-        capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL, env=clean | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL, env=without_ranks() | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     (found,) = json.loads((tmp_path / "network.json").read_text(encoding="utf-8"))["network"]
