@@ -77,8 +77,10 @@ class CompiledFriction:
         self._of_laws = self._rows.ctypes.data
 
     def evaluate(self, strain: Floats, history: History, step: LawStep) -> JointResponse:
-        """The law's own response to strains (n, 2) after ``history``."""
+        """The law's own response to strains (n, 2) after ``history``. Raises ValueError for others than its n sections."""
         n = len(strain)
+        if n != len(self._rows):
+            raise ValueError(f"{n} strains for {len(self._rows)} sections")
         found, statuses = np.empty(15 * n), np.empty((2, n), dtype=bool)
         given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *map(history.__getitem__, self._names))]
         arrays = [*map(_address, given), None][:4]

@@ -100,8 +100,9 @@ class Method(StepperKeys):
     """mass matrix of the rock"""
     tips: Literal["plain", "corrected"] = "plain"
     """energy of meshed rock at ends of fractures inside it, in the plane. Plain: as the cells have it; openings and slips are
-    too small by a share of order 1 in joint over fracture. Corrected: less what cells have too much of a crack's end, counted
-    as tips in the energy balance; a tenth of that share or less is left. Cells that grow away from fractures leave their own"""
+    too small by about 0.4 joint over half length. Corrected: less what cells have too much of a crack's end, counted as tips in
+    the energy balance; about a tenth of it is left where fractures open or slide, more where joints hold the walls. Cells that
+    grow away from fractures leave their own. Ends beside other fractures or sides stay plain, and the log counts them"""
     contact: Literal["redistributed", "lumped"] = "redistributed"
     """inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside the
     rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which

@@ -50,6 +50,14 @@ def test_an_event_starts_where_the_step_began():
     assert log.row(_at(1.3, [0.2, 0.02, 0.0], [8e6, 8e6, 8e6]))["start"] == 1.1
 
 
+def test_an_event_begins_at_its_fastest_section_the_first_of_those_alike():
+    for rate, place in (((1.0, -2.0, 9.0), 5), ((2.0, -2.0 - 1e-13, 0.0), 4)):
+        log = Catalogue(ENDS)
+        log.update(_at(1.1, [0.2, 0.0, 0.0], [8e6, 8e6, 8e6]), False)
+        log.update(_at(1.2, [0.2, 0.01, 0.0], [8e6, 8e6, 8e6], (0, 1, 2), rate), True)
+        assert log.row(_at(1.3, [0.2, 0.02, 0.0], [8e6, 8e6, 8e6]))["place"] == place
+
+
 def test_where_nothing_slides_there_is_no_event():
     log = Catalogue(ENDS)
     still = ([0.0, 0.0, 0.0], [8e6, 8e6, 8e6])
