@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import glob
 import os
@@ -14,6 +15,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from importlib.util import find_spec
 from typing import Any, ParamSpec, TypeVar
+from weakref import WeakValueDictionary
 
 from fracflow.errors import InputError
 
@@ -164,6 +166,24 @@ def timed(event: str, stage: str = "") -> Callable[[Callable[Given, Result]], Ca
     return decorate
 
 
+_by_python: WeakValueDictionary[int, Any] = WeakValueDictionary()
+
+
+def precondition_by(solver: PETSc.KSP, context: Any) -> None:
+    """Let an object of ours be the preconditioner of a solver."""
+    solver.getPC().setType("python")
+    solver.getPC().setPythonContext(context)
+    _by_python[id(solver)] = solver
+
+
+@atexit.register
+def _end_contexts() -> None:
+    """End those that an unforeseen error has left on one rank: PETSc ends after Python, and could not call them any more."""
+    for solver in list(_by_python.values()):
+        if solver and solver.getComm().getSize() == 1:
+            solver.getPC().setType("none")
+
+
 def destroy(*things: Any) -> None:
     """Free PETSc objects, and others that own some; None is passed over. Collective."""
     for thing in things:
@@ -171,4 +191,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "timed"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "timed"]

@@ -73,7 +73,9 @@ class CompiledFriction:
         self._rows = table(law, np.zeros(sections))
         self._is_coupled, self._has_path = bool(getattr(law, "coupled_tangent", True)), "slip_path" in law.history
         self._names = ("plastic_slip", "sliding", *["slip_path"][: self._has_path])
-        self._loop = getattr(library(), "fracflow_friction")  # noqa: B009
+        compiled = library()
+        assert compiled is not None
+        self._loop = compiled.fracflow_friction
         self._of_laws = self._rows.ctypes.data
 
     def evaluate(self, strain: Floats, history: History, step: LawStep) -> JointResponse:

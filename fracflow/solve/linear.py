@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import PETSc, destroy, precondition_by
 from fracflow.errors import Unsolved
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Ints
@@ -182,8 +182,7 @@ def set_up(solver: PETSc.KSP, matrix: System) -> None:
         operators = matrix.operators
         parts = parts_of(operators.blocks, matrix.layout, operators.scales.length, matrix.fixed)
         prefix = (solver.getOptionsPrefix() or "").removesuffix("_")
-        solver.getPC().setType("python")
-        solver.getPC().setPythonContext(FracturedRock(parts, matrix, prefix, node_size(operators)))
+        precondition_by(solver, FracturedRock(parts, matrix, prefix, node_size(operators)))
     if solver.getPC().getType() == "fieldsplit":
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)

@@ -30,6 +30,7 @@ aperture = 1e-3
 friction_coefficient = 0.5
 pressure = [[0, 0], [1, 11e6]]
 """
+MESHED = 'method.rock_solver = "multigrid"\nsupport = [{on = ["south", "north", "east", "west"]}]\n'
 HELD = [1, 4, 5]
 ENDS = """
 import sys
@@ -107,9 +108,11 @@ def test_a_run_agrees_with_mumps(monkeypatch):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-9 * np.abs(other).max()) and np.abs(other).max() > 0.0
 
 
-def test_an_unforeseen_error_ends_python_in_order(tmp_path):
-    """PETSc may keep a solver until Python has ended; its context is gone then."""
-    (tmp_path / "scene.toml").write_text(SCENE)
+@pytest.mark.parametrize("more", ["", MESHED])
+def test_an_unforeseen_error_ends_python_in_order(tmp_path, more):
+    """PETSc may keep a solver until Python has ended; its context, LAPACK's or multigrid's, is gone then."""
+    text = SCENE.replace('domain = "unbounded"', "domain = [-5, -5, 5, 5]") if more else SCENE
+    (tmp_path / "scene.toml").write_text(more + text)
     words = [sys.executable, "-c", ENDS, str(tmp_path / "scene.toml"), str(tmp_path / "run")]
     ended = subprocess.run(words, check=False, capture_output=True, text=True, timeout=100)
     assert (ended.returncode, ended.stderr.splitlines()[-1]) == (1, "TypeError: unforeseen")

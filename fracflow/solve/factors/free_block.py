@@ -5,33 +5,18 @@ Those of unmeshed rock with given pressures all are: MUMPS takes four times as l
 
 from __future__ import annotations
 
-import atexit
-from weakref import WeakValueDictionary
-
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import PETSc, destroy, precondition_by
 from fracflow.mesh.data import Bools, Ints
 from fracflow.solve.jacobian import JoinedMatrix
 
 FULL = 0.5  # of the free entries: with a pressure unknown at each joint .45 are there, and MUMPS is faster
 
-_solvers: WeakValueDictionary[int, PETSc.KSP] = WeakValueDictionary()
-
 
 def factor_by_lapack(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     """Give a solver that is LU alone such factors of the matrix, on one rank."""
-    solver.getPC().setType("python")
-    solver.getPC().setPythonContext(FreeBlock(matrix))
-    _solvers[id(solver)] = solver
-
-
-@atexit.register
-def _end() -> None:
-    """End contexts that an unforeseen error left: PETSc ends after Python, and could not call them any more."""
-    for solver in list(_solvers.values()):
-        if solver:
-            solver.getPC().setType("none")
+    precondition_by(solver, FreeBlock(matrix))
 
 
 class FreeBlock:
