@@ -59,7 +59,7 @@ class Couplings:
 
     def forget_closures(self) -> None:
         """Free solvers for network components that exist no longer. Collective."""
-        for loads in [each for each in self._kept if each.closures]:
+        for loads in [each for each in self._kept if each.is_closed]:
             self._kept.pop(loads).destroy()
 
     def _way(self) -> str:

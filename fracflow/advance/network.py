@@ -10,6 +10,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
 from fracflow.errors import MOST_NAMED, SolveError
+from fracflow.integrators import Alphas
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
@@ -17,7 +18,7 @@ from fracflow.model.network_parts import NetworkComponent, NetworkComponents, co
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
-from fracflow.model.undrained import change_volume, close
+from fracflow.model.undrained import change_volume, close, sum_balances
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import AREA, FLOW_RATE
@@ -28,12 +29,24 @@ BALANCED = 1e-12  # of the sum of the flow rates' sizes
 AGREES = 1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has few digits
 
 
+FAINT = 1e-6
+"""Of what a node conducts: where all that a part stores is less, sums of its balances keep fewer than ten digits."""
+
+
 @dataclass(frozen=True)
 class _Closed:
-    """Loads with the undrained components closed, and the wells of each."""
+    """Loads with the undrained components closed, and the wells of each.
+
+    gives   (k,) parts whose walls change their volume
+    stores  (k,) parts whose level storage alone settles; None where there are none, on any rank
+    faint   (k,) those of them whose balances are summed in ``loads``
+    """
 
     loads: Loads
     parts: tuple[tuple[NetworkComponent, tuple[str, ...], bool], ...]
+    gives: Bools
+    stores: Bools | None = None
+    faint: Bools | None = None
 
 
 class FlowNetwork:
@@ -49,8 +62,11 @@ class FlowNetwork:
         self._has_logged_digits = False
         self._parts: NetworkComponents | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
+        self._summed: dict[tuple[Loads, bool, bool], _Closed] = {}
+        self._begins: tuple[weakref.ref[State], Alphas] | None = None  # the step under way, of a rule that stores
+        self._faint_parts: dict[tuple[Loads, bool, bool], Bools] = {}
         self.version = 0
-        # weak: a state that is done with is freed, and a new one may have its id
+        # weak, as above: a state that is done with is freed, and a new one may have its id
         self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
 
     def log_digits(self, line: str) -> None:
@@ -169,10 +185,55 @@ class FlowNetwork:
         key = (loads, stores, at_start)
         if key not in self._closed:
             self._closed[key] = self._make(loads, stores, at_start)
-        return self._closed[key]
+        found = self._closed[key]
+        begun, alphas = self._begins or (lambda: None, None)
+        if found.stores is None or alphas is None or (state := begun()) is None:
+            return found
+        if key not in self._faint_parts:
+            self._faint_parts[key] = found.stores & self._store_little(found.gives, state, alphas)
+        return self._with_sums(key, found, self._faint_parts[key])
 
-    def update(self, state: State) -> None:
-        """Find the components at a state, if they are not those that were found last. Collective."""
+    def _with_sums(self, key: tuple[Loads, bool, bool], found: _Closed, faint: Bools) -> _Closed:
+        """The same with the balances of the faint parts (k,) summed. Collective."""
+        comm, last = self.model.operators.layout.comm, self._summed.get(key)
+        if not comm.allreduce(bool(faint.any()), op=MPI.LOR):
+            return found
+        is_same = last is not None and last.faint is not None and np.array_equal(last.faint, faint)
+        if last is None or not comm.allreduce(is_same, op=MPI.LAND):
+            if last is not None:
+                destroy(last.loads.summed)
+                self.version += 1
+            assert self._parts is not None
+            summed = sum_balances(self.model.operators, self._parts, faint, found.gives)
+            last = self._summed[key] = replace(found, loads=replace(found.loads, summed=summed), faint=faint)
+        return last
+
+    def _store_little(self, gives: Bools, state: State, alphas: Alphas) -> Bools:
+        """Parts (k,) that store less at a state, in a step of a rule, than the round-off of what they conduct. Collective.
+
+        Walls give at least as much as one joint and the rock beside it do, each L wide, between walls that are held.
+        """
+        ops, parts, conduction = self.model.operators, self._parts, self._conduction(state)
+        assert parts is not None
+        network, ends, count = ops.network, parts.ends, len(parts.roots)
+        normal = state.sections.tangent[:, -1, -1].reshape(-1, ops.joints.points).max(axis=1, initial=0.0)
+        resists = normal * network.length + ops.scales.stiffness
+        opened = 0.5 * network.length**2 / np.where(resists > 0.0, resists, np.inf)
+        stored = alphas.a1 * gives[ends] * opened[:, None]
+        if conduction.compression is not None:
+            stored = stored + alphas.b1 * conduction.compression.weight
+        stores = parts.summed(np.bincount(ends.ravel(), stored.ravel(), count))
+        sent, largest = network.at_nodes(np.repeat(conduction.conductance[:, None], 2, axis=1)), np.zeros(count)
+        np.maximum.at(largest, parts.own, sent)
+        return np.asarray(stores < FAINT * parts.largest(largest))
+
+    def update(self, state: State, alphas: Alphas | None = None) -> None:
+        """Find the components at a state, if they are not those that were found last. Collective.
+
+        alphas  of the step that begins there, where a part may store less than the round-off of what it conducts
+        """
+        self._begins = (weakref.ref(state), alphas) if alphas is not None and min(alphas.a1, alphas.b1) > 0.0 else None
+        self._faint_parts.clear()
         last, version = self._found_at
         if last is None or last() is not state or version != self.version:
             self.check(self._conduction(state))
@@ -254,12 +315,15 @@ class FlowNetwork:
         holds = parts.any_of(self._holds) & (stores | (parts.sizes > 1))
         settled = parts.any_of(drained) | (stores & (holds | (gives & (not at_start))))
         roots = {pattern.well: parts.root_at(self._node(pattern.vector)) for pattern in loads.wells if pattern.well}
-        closed, closures = [], []
+        closed, closures = list[tuple[NetworkComponent, tuple[str, ...], bool]](), []
         for part in parts.named(parts.listed(~settled)[0]):
             wells, moves = tuple(name for name, root in roots.items() if root == part.root), parts.at_root(gives, part)
             closed.append((part, wells, moves))
             closures.append(close(operators, parts, part, moves and not at_start, parts.at_root(holds, part)))
-        return _Closed(replace(loads, closures=tuple(closures)) if closed else loads, tuple(closed))
+        by_storage = settled & ~parts.any_of(drained)
+        has = stores and not at_start and operators.layout.comm.allreduce(bool(by_storage.any()), op=MPI.LOR)
+        closes = replace(loads, closures=tuple(closures)) if closed else loads
+        return _Closed(closes, tuple(closed), gives, by_storage if has else None)
 
     def _node(self, vector: PETSc.Vec) -> int:
         local = vector.getArray(readonly=True)
@@ -306,7 +370,9 @@ class FlowNetwork:
 
     def _forget(self) -> None:
         destroy(*(closure.weights for found in self._closed.values() for closure in found.loads.closures))
-        self._closed.clear()
+        destroy(*(found.loads.summed for found in self._summed.values()))
+        for kept in (self._closed, self._summed, self._faint_parts):
+            kept.clear()
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:

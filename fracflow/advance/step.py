@@ -33,8 +33,8 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.flow_round_off import check_digits
-from fracflow.solve.problem import Guess, StepProblem, Work
-from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
+from fracflow.solve.problem import Guess, StepProblem
+from fracflow.solve.request import StepRequest, StepRule, Work, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
@@ -230,7 +230,7 @@ class SingleStep:
         rule = rule_of(stepper, state, request, self.stepper)
         trials = Trials(loads, state)
         if ops.flow is not None:
-            network.update(state)
+            network.update(state, rule.alphas)
         trial = self._foreseen(rule, state, request)
         for reached in trials:
             limited = solvers.limited(loads, reached)

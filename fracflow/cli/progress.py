@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from fracflow.advance.step import Step
     from fracflow.cli.bar import Bar
     from fracflow.scene.scene import Scene
-    from fracflow.solve.problem import TrialProgress
+    from fracflow.solve.request import TrialProgress
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given

@@ -20,7 +20,7 @@ from fracflow.model.properties import initial_pressure, initial_stress, outward,
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.model.terms.term import held_without_inertia
 from fracflow.model.unbounded import held_walls, stress_force
-from fracflow.model.undrained import Closure
+from fracflow.model.undrained import Closure, SummedBalances
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -64,6 +64,7 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
+    ``summed`` does so where less is stored than the round-off of what the part conducts.
     Terms fix ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) in steps without inertia, which
     ``at_rest`` marks.
     """
@@ -76,9 +77,15 @@ class Loads:
     fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
+    summed: SummedBalances | None = None
     resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     at_rest: bool = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether a row of its own stands for the balance of any flow node."""
+        return bool(self.closures) or self.summed is not None
 
     @property
     def held(self) -> Ints:

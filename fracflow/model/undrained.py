@@ -1,4 +1,8 @@
-"""The row that closes an undrained component of the network: its walls, its fluid or its level in place of one balance."""
+"""The row that closes an undrained component of the network: its walls, its fluid or its level in place of one balance.
+
+Where a component stores fluid, but less than the round-off of what it conducts, the sum of its balances is that row. Flow from
+node to node is not in the sum.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.layout import Layout, local_rows
+from fracflow.model.layout import Layout, add_blocks, create_matrix, local_rows, product
 from fracflow.model.network_parts import NetworkComponent, NetworkComponents
 from fracflow.model.operators import Operators
 
@@ -107,3 +111,101 @@ def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
         return closure.nodes[:0], local[:0]
     walls, held, weights, nothing = (np.concatenate(each) for each in zip(*gathered, strict=True))
     return np.concatenate([walls, held]), np.concatenate([weights, nothing])
+
+
+@dataclass(frozen=True, eq=False)
+class SummedBalances:
+    """Components in which the sum of all balances takes the place of that of one node, their root.
+
+    A row is divided by the size of flows, as others are, and by the ratio of alpha_1 times a volume to it, called ``rate``
+    times ``sizes`` here. So it is of the size of other rows, however slow the storage is.
+
+    members  1 in the row of each root, at the flow nodes of its component; other rows are empty
+    roots    (r,) local numbers of the roots on this rank
+    sizes    (r,) of volumes there [area]
+    root_at  (j, 2) number of the root of each joint end of this rank, -1 in other components
+    size_at  (j, 2) the sizes there, 1 in other components
+    """
+
+    members: PETSc.Mat
+    roots: Ints
+    sizes: Floats
+    root_at: Ints
+    size_at: Floats
+
+    def with_sums(self, values: Floats, rate: float) -> Floats:
+        """Values (n,) at this rank's flow nodes; at roots sums over their components, over ``rate`` * size. Collective."""
+        found = values.copy()
+        found[self.roots] = self._sums(values) / (rate * self.sizes)
+        return found
+
+    def without_sums(self, values: Floats, rate: float) -> Floats:
+        """The values (n,) of which ``with_sums`` makes these. Collective."""
+        found = values.copy()
+        found[self.roots] = 0.0
+        found[self.roots] = values[self.roots] * rate * self.sizes - self._sums(found)
+        return found
+
+    def add_diagonal(self, matrix: PETSc.Mat, values: Floats, rate: float) -> None:
+        """Add values (n,) at this rank's flow nodes to a matrix of pressures, whose rows at roots are such sums. Collective."""
+        added, diagonal = self.members.copy(), self.members.createVecRight()
+        diagonal.setArray(values)
+        added.diagonalScale(None, diagonal)
+        other, own = diagonal.duplicate(), values.copy()
+        other.set(1.0)
+        other.getArray()[self.roots] = 1.0 / (rate * self.sizes)
+        added.diagonalScale(other, None)
+        matrix.axpy(1.0, added, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        own[self.roots] = 0.0
+        add_diagonal(matrix, own)
+        destroy(added, diagonal, other)
+
+    def _sums(self, values: Floats) -> Floats:
+        """Sums (r,) of values (n,) over the components of this rank's roots. Collective."""
+        nodes = self.members.createVecRight()
+        nodes.setArray(values)
+        found = product(self.members, nodes)[self.roots]
+        nodes.destroy()
+        return found
+
+    def destroy(self) -> None:
+        """Free the matrix. Collective."""
+        self.members.destroy()
+
+
+def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:
+    """Add values (n,) of this rank's rows to the diagonal. Collective."""
+    diagonal = matrix.getDiagonal()
+    diagonal.setArray(diagonal.getArray() + values)
+    matrix.setDiagonal(diagonal)
+    diagonal.destroy()
+
+
+def sum_balances(operators: Operators, parts: NetworkComponents, chosen: Bools, gives: Bools) -> SummedBalances:
+    """The sums of chosen parts (k,), by whether walls change their volume (k,). The caller owns them. Collective.
+
+    The sizes do not depend on a state, since a run that is resumed must have the same.
+    """
+    layout, network, scales = operators.layout, operators.network, operators.scales
+    first, last = layout.flow_starts[layout.comm.rank : layout.comm.rank + 2]
+    sizes = (layout.flow_count, int(layout.flow_starts[-1]))
+    to_roots = create_matrix((sizes, sizes), 1, layout.comm)
+    own = np.flatnonzero(chosen[parts.own])
+    add_blocks(to_roots, first + own[:, None], parts.roots[parts.own[own]][:, None], np.ones((len(own), 1, 1)))
+    to_roots.assemble()
+    members = to_roots.transpose(PETSc.Mat())
+    to_roots.destroy()
+    half = 0.5 * network.length[:, None]
+    soft = network.compressibility * half * np.maximum(network.aperture, 0.0)
+    opened = gives[parts.ends] * half * network.length[:, None] * scales.displacement / scales.force
+    volume = scales.pressure * parts.summed(np.bincount(parts.ends.ravel(), (soft + opened).ravel(), len(parts.roots)))
+    volume = np.where(volume > 0.0, volume, scales.length * scales.displacement)
+    here = np.flatnonzero(chosen & (parts.roots >= first) & (parts.roots < last))
+    is_its = chosen[parts.ends]
+    return SummedBalances(
+        members,
+        parts.roots[here] - int(first),
+        volume[here],
+        np.where(is_its, parts.roots[parts.ends], -1),
+        np.where(is_its, volume[parts.ends], 1.0),
+    )

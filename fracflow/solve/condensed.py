@@ -260,9 +260,9 @@ class Condensed:
     def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
         """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
 
-        A network component without drainage has a closure in place of a balance, which condensed flow does not have.
+        A network component that nothing drains may have a row in place of a balance, which condensed flow does not have.
         """
-        if problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
+        if problem.loads.is_closed or not self._jumps or not self._is_meant(key, problem):
             return None
         kept = self._kept.pop(key, None)
         if kept is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
-from fracflow.mesh.blocks import Blocks, petsc_ints
+from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.joints import section_groups
@@ -23,6 +23,7 @@ from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.undrained import Closure, closure_row
+from fracflow.solve.fractured_rock.rigid_motions import near_null_space, node_size
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class FreePart:
     """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
     ``flow_rows`` are ``flow_nodes``, or -1 where a closure stands for the balance of a node. ``keeping`` are the rows of
-    closures that keep the fluid at a joint end.
+    closures, or of sums of balances, that count the fluid at a joint end.
     """
 
     held_entries: Ints
@@ -81,8 +82,9 @@ class JoinedMatrix:
             parts["feedback"] = self._entries(ops.flow.feedback, "flow", "solid")[0]
             parts["network"] = self._entries(network, "flow", "flow")[0]
             destroy(squeeze, network)
-        self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
+        self._fluids, self._summed = [closure for closure in loads.closures if closure.by == "fluid"], loads.summed
         closing = [self._closure(closure) for closure in loads.closures]
+        swept = self._summed_parts(parts) if self._summed is not None else np.zeros(0)
         for number, (row, cols, _) in enumerate(closing):
             parts[f"closure {number}"] = Entries((here > row).astype(np.int64) * len(cols), petsc_ints(cols))
         pattern = Pattern.of(parts, ROCK, layout.total, layout.comm)
@@ -96,6 +98,11 @@ class JoinedMatrix:
             for number, (row, cols, weights) in enumerate(closing)
             if len(cols)
         ]
+        if self._summed is not None:
+            rows = layout.solid_count + self._summed.roots
+            self._closed = np.concatenate([self._closed, rows])
+            entries = np.concatenate([np.arange(*self._starts[row : row + 2]) for row in rows] or [self._closed[:0]])
+            self._closing.append((entries, pattern.places["summed walls"], swept))
         local = (self.rows_here, layout.total)
         csr = (pattern.starts, pattern.columns, np.zeros(len(pattern.columns)))
         is_dry = layout.flow_starts[-1] == 0
@@ -141,6 +148,21 @@ class JoinedMatrix:
         scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
         return row, cols, scale * weights
 
+    def _summed_parts(self, parts: dict[str, Entries]) -> Floats:
+        """Put what sums of balances depend on into ``parts``; scaled values (n,) of "summed walls". Collective."""
+        network, summed = self.operators.network, self._summed
+        assert summed is not None
+        volumes = network.storage_coupling.matTransposeMult(summed.members).transpose()
+        opened = summed.members.matMult(network.feedback)
+        parts["summed pressures"] = self._entries(summed.members, "flow", "flow")[0]
+        parts["summed openings"] = self._entries(opened, "flow", "solid")[0]
+        parts["summed walls"], values = self._entries(volumes, "flow", "solid")
+        starts = volumes.getValuesCSR()[0]
+        destroy(volumes, opened)
+        sizes = np.ones(self.layout.flow_count)
+        sizes[summed.roots] = summed.sizes
+        return values * self.operators.scales.displacement / np.repeat(sizes, np.diff(starts))
+
     def _network_pattern(self) -> PETSc.Mat:
         size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
         matrix = create_matrix((size, size), 8, self.layout.comm)
@@ -167,6 +189,10 @@ class JoinedMatrix:
         for closure in self._fluids:
             self._keeping[closure.ends] = layout.flow_numbers(np.array([closure.number]))[0]
             self._kept[closure.ends] = closure.size
+        if self._summed is not None:
+            is_its = self._summed.root_at >= 0
+            self._keeping[is_its] = layout.flow_numbers(self._summed.root_at[is_its])
+            self._kept = self._kept * self._summed.size_at
 
     def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
         """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.
@@ -288,8 +314,8 @@ class JoinedMatrix:
                     change = np.einsum("nt,ntk->nk", conduction.by_slip[joint, end], along)
                     values = drop[joint][:, :, None] * change[:, None, :]
                     add_blocks(matrix, nodes[joint], unknowns, flow_solid * values)
-            if conduction.compression is not None and self._fluids:
-                self._keep_fluid(free, conduction.compression)
+            if conduction.compression is not None and (self._fluids or self._summed is not None):
+                self._keep_fluid(free, conduction.compression, alphas)
         matrix.assemble()
 
     @contextmanager
@@ -357,9 +383,11 @@ class JoinedMatrix:
         starts, columns, rows = self._changing
         matrix.setValuesIJV(starts, columns, values, PETSc.InsertMode.INSERT, rows)
 
-    def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
-        """Add what compression does to the rows that keep the fluid of a part."""
+    def _keep_fluid(self, free: FreePart, stored: Compression, alphas: Alphas) -> None:
+        """Add what compression does to the rows that keep the fluid of a part, or balance it as volumes: rates / alpha_1."""
         scales, size = self.operators.scales, self._kept.ravel()
+        if self._summed is not None:
+            size = size * np.where(self._summed.root_at >= 0, alphas.a1 / alphas.b1, 1.0).ravel()
         rows, values = free.keeping.reshape(-1, 1), stored.weight.ravel() * scales.pressure / size
         add_blocks(self.matrix, rows, free.flow_nodes.reshape(-1, 1), values[:, None, None])
         values = stored.slope.ravel() * scales.displacement / size
@@ -392,58 +420,3 @@ class _WithFar:
 def _between(places: Ints, begin: int, end: int) -> slice:
     """Those of places (n,), in the order of rows, that lie from ``begin`` to before ``end``, which are starts of rows."""
     return slice(*np.searchsorted(places, (begin, end)))
-
-
-def rigid_motions(blocks: Blocks) -> Floats:
-    """The translations and the rotation of the plane as this rank's unknowns (n, 3), about the middle of the mesh. Collective.
-
-    Nodal unknowns get the motion of their node, a rigid body's its own translation and turn.
-    """
-    block, comm, dim = blocks.solid, blocks.comm, blocks.sizes.dim
-    start, end = block.unknown_starts[comm.rank : comm.rank + 2]
-    middle = comm.allreduce(block.points[: block.owned].sum(axis=0)) / blocks.sizes.nodes
-    motions = np.zeros((int(end - start), dim + 1))
-
-    def turn(points: Floats) -> Floats:
-        arm = points - middle
-        return np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-
-    places = [(block.unknown, block.points), (block.body_unknown[:, :dim], block.body_center)]
-    for unknowns, points in places:
-        for axis in range(dim):
-            here = np.flatnonzero((unknowns[:, axis] >= start) & (unknowns[:, axis] < end))
-            rows = unknowns[here, axis] - start
-            motions[rows, axis] = 1.0
-            motions[rows, dim] = turn(points[here])[:, axis]
-    turned = block.body_unknown[:, dim]
-    motions[turned[(turned >= start) & (turned < end)] - start, dim] = 1.0
-    return motions
-
-
-def near_null_space(operators: Operators) -> PETSc.NullSpace:
-    """The rigid motions, orthonormal, as PETSc has them. The caller destroys it. Collective."""
-    blocks, layout = operators.blocks, operators.layout
-    vectors: list[PETSc.Vec] = []
-    for motion in rigid_motions(blocks).T:
-        vector = layout.solid_vector()
-        vector.setArray(motion)
-        for other in vectors:
-            vector.axpy(-vector.dot(other), other)
-        vector.normalize()
-        vectors.append(vector)
-    space = PETSc.NullSpace().create(vectors=vectors, comm=layout.comm)
-    destroy(*vectors)
-    return space
-
-
-def node_size(operators: Operators) -> int:
-    """Unknowns of a node, where all unknowns are nodes'; else 1, which says nothing."""
-    return operators.blocks.sizes.dim if operators.expand is None else 1
-
-
-def tell_rigid_motions(operators: Operators, solid: PETSc.IS) -> None:
-    """Give the split ``solid`` both; PCFIELDSPLIT passes them to the matrix of the split. Collective."""
-    solid.setBlockSize(node_size(operators))
-    space = near_null_space(operators)
-    solid.compose("nearnullspace", space)
-    space.destroy()

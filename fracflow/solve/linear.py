@@ -22,7 +22,8 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
 from fracflow.solve.factors.free_block import factor_by_lapack, is_full
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
-from fracflow.solve.jacobian import PARTS, JoinedMatrix, node_size, tell_rigid_motions
+from fracflow.solve.fractured_rock.rigid_motions import node_size, tell_rigid_motions
+from fracflow.solve.jacobian import PARTS, JoinedMatrix
 from fracflow.solve.options import factors_are_meant
 from fracflow.solve.residual import over_ranks
 

@@ -7,7 +7,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -25,10 +25,11 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
 from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
-from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.request import StepRequest, StepRule, Work
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
+    NOISE,
     TINY,
     UNIT_ROUND_OFF,
     Residual,
@@ -41,33 +42,14 @@ from fracflow.solve.residual import (
     round_off_of_flow,
     round_off_of_jumps,
     round_off_of_rock,
+    round_off_of_uptake,
+    round_off_of_volumes,
 )
 
 SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
 BLURRED = 1e-11  # of the largest term, and of a gap: round-off of jumps from which on strains are followed
 SAME_TRIAL = 32.0  # round-offs of a jump by which followed strains may be off it
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
-
-
-@dataclass
-class TrialProgress:
-    """The trial under way, as a screen shows it.
-
-    iteration   of Newton's method
-    unbalanced  share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
-    """
-
-    iteration: int = 0
-    unbalanced: float = np.inf
-
-
-@dataclass
-class Work:
-    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
-
-    evaluations: int = 0
-    factorisations: int = 0
-    trial: TrialProgress = field(default_factory=TrialProgress)
 
 
 class StepProblem:
@@ -284,6 +266,7 @@ class StepProblem:
         network.storage_coupling.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
+        stored = None if self.loads.summed is None else flow.getArray() - self.source.getArray(readonly=True)
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
         self.conduction = network.conduct(self.displacement, self.pressure, walls, self.term_step())
         self._widest = None
@@ -305,6 +288,8 @@ class StepProblem:
         moved = self.operators.joints.openings(self._moved)
         self._flow_noise = network.at_nodes(round_off_of_flow(network, self.conduction, moved, self.alphas.a1))
         self._flow_rows = rows + network.at_nodes(through)
+        if stored is not None:
+            self._sum(stored, rows, moved)
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
@@ -314,6 +299,24 @@ class StepProblem:
         trial = (self.increment, change, self.fluid_before, self.conduction.compression)
         for closure in self.loads.closures:
             self.flow_balance.getArray()[closure.row] = self.flow_scale() * lost(self.operators, closure, *trial)
+
+    def _sum(self, stored: Floats, rows: Floats, moved: Floats | None) -> None:
+        """In place of the balance at each root its component's: what is ``stored`` (n,) of the inflow, without conduction.
+
+        rows (n,) sizes of its terms; moved as for ``round_off_of_flow``. Flow within the component has no part in it, nor
+        in its round-off. Collective.
+        """
+        summed, network, rate = self.loads.summed, self.operators.network, self.alphas.a1 / self.flow_scale()
+        assert summed is not None and self.conduction is not None
+        now = self.conduction.compression
+        known = round_off_of_uptake(network, self.fluid_before, now, self.alphas.b1) + NOISE * UNIT_ROUND_OFF * rows
+        if moved is not None:
+            known += network.at_nodes(round_off_of_volumes(network, moved, self.alphas.a1))
+        taken = stored if self.taken_up is None else stored + self.taken_up
+        roots = summed.roots
+        kept = self.flow_balance.getArray(), self._flow_noise, self._flow_rows
+        for values, of_storage in zip(kept, (taken, known, rows), strict=True):
+            values[roots] = summed.with_sums(of_storage, rate)[roots]
 
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
@@ -335,9 +338,12 @@ class StepProblem:
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
         flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)
         rows = self._flow_rows
-        rows = None if rows is None else rows + CANCELLATION * self.alphas.a1 * scales.length * moved
-        own = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
-        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
+        if rows is not None:
+            own, rows = rows, rows + CANCELLATION * self.alphas.a1 * scales.length * moved
+            if self.loads.summed is not None:
+                rows[self.loads.summed.roots] = own[self.loads.summed.roots]
+        at_nodes = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), at_nodes, noise, least)
         if not np.isfinite(solid + flow):
             raise NotConverged(
                 f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite"
@@ -354,10 +360,13 @@ class StepProblem:
         dt, driving = self.time - self.state.time, self.pressure.getArray() - self.operators.flow.resting.getArray()
         spent = self.conduction.conductance @ np.ptp(self.conduction.pressure, axis=1) ** 2
         brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
-        here = np.array([self.flow_balance.getArray(readonly=True) @ driving, spent + brought])
-        left, power = self.operators.layout.comm.allreduce(here)
+        left = self.flow_balance.getArray(readonly=True)
+        if self.loads.summed is not None:
+            left = self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
+        here = np.array([left @ driving, spent + brought])
+        missed, power = self.operators.layout.comm.allreduce(here)
         largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
-        return abs(dt * float(left)) / max(largest, TINY)
+        return abs(dt * float(missed)) / max(largest, TINY)
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""

@@ -82,8 +82,14 @@ def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | Non
     known = NOISE * UNIT_ROUND_OFF * np.abs(moved)
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
     through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
-    squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
+    squeezed: Floats = round_off_of_volumes(network, moved, rate) + through[:, None]
     return driven + squeezed
+
+
+def round_off_of_volumes(network: Flow, moved: Floats, rate: float) -> Floats:
+    """The same of the volume rates that walls open at the joint ends (j, 2), by that of openings; ``moved`` as above."""
+    known = NOISE * UNIT_ROUND_OFF * np.abs(moved)
+    return np.asarray(0.5 * rate * network.length[:, None] * known)
 
 
 def round_off_of_uptake(network: Flow, before: Compression | None, after: Compression | None, rate: float) -> Floats:

@@ -19,7 +19,8 @@ from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
-from fracflow.solve.problem import StepProblem, TrialProgress
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import TrialProgress
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
 AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)

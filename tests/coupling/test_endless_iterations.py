@@ -12,7 +12,7 @@ from fracflow.simulation.run import run
 from fracflow.solve.globalisation import Repetition
 from fracflow.solve.linear import KeptFactors, solves_both
 from fracflow.solve.newton import REPEATS, Newton
-from fracflow.solve.problem import Work
+from fracflow.solve.request import Work
 
 pytestmark = pytest.mark.serial
 LEAST = 1e-11

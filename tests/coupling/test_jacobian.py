@@ -141,26 +141,28 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
     problem.destroy()
 
 
-def test_jacobian_where_a_part_keeps_its_fluid():
-    """A steady step of a compressible fluid that nothing drains: a row with the walls and the pressures of the whole part."""
+def sealed(model, state, alphas):
+    """The network, and loads without a pressure anywhere, for a step from a state; what the rows of its parts are."""
+    network = FlowNetwork(model)
+    network.update(state, alphas)
+    loads = replace(model.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
+    return network, network.close(loads, stores=alphas.a1 > 0.0)
+
+
+@pytest.mark.parametrize("stepper", [Steady(), Newmark(0.3, 0.6)], ids=["keeps", "sums"])
+def test_jacobian_where_a_part_keeps_or_sums_its_fluid(stepper, monkeypatch):
+    """A compressible fluid that nothing drains: a row with the walls and the pressures of the whole part.
+
+    In a steady step it keeps the fluid; in one that stores next to nothing it is the sum of all balances.
+    """
+    monkeypatch.setattr("fracflow.advance.network.FAINT", np.inf)
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
-    prepared = prepare(scene, MPI.COMM_WORLD)
-    operators, state, random = (
-        prepared.operators,
-        equilibrium_state(prepared),
-        np.random.default_rng(12 + MPI.COMM_WORLD.rank),
-    )
-    network, sealed = (
-        FlowNetwork(prepared),
-        replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64)),
-    )
-    walls = operators.joints.walls(state.sections, operators.flow.law)
-    network.check(operators.flow.conduct(state.motion.displacement, state.pressure, walls, TermStep(state.memory)))
-    closed = network.close(sealed, stores=False)
-    assert {closure.by for closure in closed.closures} == {"fluid"}
-    problem = StepProblem(
-        operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(Steady().alphas(1e-3))
-    )
+    prepared, random = prepare(scene, MPI.COMM_WORLD), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
+    operators, state, alphas = prepared.operators, equilibrium_state(prepared), stepper.alphas(1e-3)
+    network, closed = sealed(prepared, state, alphas)
+    assert {closure.by for closure in closed.closures} == (set() if alphas.a1 > 0.0 else {"fluid"})
+    assert (closed.summed is None) == (alphas.a1 == 0.0)
+    problem = StepProblem(operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(alphas))
     check_around(scene, problem, random)
     problem.destroy()
     network.destroy()

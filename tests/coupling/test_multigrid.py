@@ -17,7 +17,7 @@ from fracflow.simulation.run import run
 from fracflow.solve import options as defaults
 from fracflow.solve import rock_cost
 from fracflow.solve.fractured_rock.preconditioner import parts_of
-from fracflow.solve.jacobian import near_null_space, rigid_motions
+from fracflow.solve.fractured_rock.rigid_motions import near_null_space, rigid_motions
 
 FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks
 

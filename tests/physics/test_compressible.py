@@ -49,6 +49,29 @@ def test_a_sealed_slot_stores_what_flows_in(shared_tmp, kind, film):
     assert history["energy/fluid_storage"][1:] == pytest.approx(stored, rel=1e-11)
 
 
+WALLS = {"held": STIFF, "give": SOFT, "give alone": winkler.SCENE}
+WAYS = {
+    "lu": ["method.coupling=whole-lu"],
+    "multigrid": ["method.rock_solver=multigrid"],
+    "staggered": ["method.coupling=fixed-point", "method.fixed_point=added-storage"],
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("walls", WALLS)
+def test_a_sealed_slot_stores_what_flows_in_however_long_the_step(shared_tmp, walls, way):
+    """Steps of 1e9 s: all that it stores is 1e-15 of what each joint conducts, and less than its round-off."""
+    x, dt = np.array([0.0, 1.0, 1.5, 4.0]), 1e9
+    text = WALLS[walls].format(pressure=0).replace("conductance = 1", "conductance = 1e6")
+    text += PROBE % 4 + INFLOW.replace("0.3", f"{0.3 / dt}") + stage("quasi-static", 2 * dt, 2)
+    history, fields = winkler.ran(shared_tmp, x, text, *WAYS[way])
+    aperture, pressure = np.ravel(fields["aperture"]), np.ravel(fields["pressure"])
+    denser = np.exp(0.1 * pressure) if "compressibility" in text else 1.0
+    assert 0.5 * np.repeat(np.diff(x), 2) @ (aperture * denser) - 40.0 == pytest.approx(0.6, rel=1e-11)
+    assert not history["step/rejected"].any() and history["step/newton"].max() <= (10 if way == "staggered" else 3)
+    closes(history)
+
+
 def evenly(x, rate):
     """Wells at all nodes of x that give each its share of ``rate``, so that no fluid has to run anywhere."""
     share = np.convolve(np.diff(x), [0.5, 0.5], "full") / (x[-1] - x[0])

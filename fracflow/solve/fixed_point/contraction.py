@@ -21,6 +21,7 @@ from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.operators import Operators
+from fracflow.model.undrained import SummedBalances, add_diagonal
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import UNSOLVED, check_solution, set_up, true_residual
 from fracflow.solve.options import solver_of
@@ -72,6 +73,7 @@ class Cycle:
         """Fill ``matrix`` and take its blocks; ``alphas`` in place of the step's own. Collective."""
         sections, conduction = problem.sections, problem.conduction
         self.scale, self.time = problem.flow_scale() / matrix.operators.scales.pressure, problem.time
+        self.summed, self.rate = problem.loads.summed, (alphas or problem.alphas).a1 / problem.flow_scale()
         matrix.fill(alphas or problem.alphas, sections.tangent, conduction, problem.flow_scale())
         splits = matrix.layout.index_sets()
         self.blocks = [[matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
@@ -95,7 +97,8 @@ class Cycle:
         ones, result = self.blocks[1][1].createVecs()
         ones.setArray(np.where(self.held, 0.0, 1.0))
         self.uptake(ones, result)
-        values = np.abs(result.getArray())
+        rows = result.getArray()
+        values = np.abs(rows if self.summed is None else self.summed.without_sums(rows, self.rate))
         destroy(ones, result)
         return np.where(self.held, 0.0, values)
 
@@ -104,7 +107,7 @@ class Cycle:
         matrix = self.blocks[1][1]
         if storage is not None:
             matrix = matrix.copy()
-            add_diagonal(matrix, storage)
+            add_storage(matrix, storage, self.summed, self.rate)
         flow = solver_of(matrix, "flow_fieldsplit_flow_")
         pressure, rate = matrix.createVecs()
         # no mode may be missing in the start, whatever the symmetry of the network
@@ -117,7 +120,9 @@ class Cycle:
             pressure.scale(1.0 / size)
             self.uptake(pressure, rate)
             if storage is not None:
-                rate.setArray(rate.getArray() - storage * pressure.getArray(readonly=True))
+                stored = storage * pressure.getArray(readonly=True)
+                stored = stored if self.summed is None else self.summed.with_sums(stored, self.rate)
+                rate.setArray(rate.getArray() - stored)
             flow.solve(rate, pressure)
             estimates.append(pressure.norm() if is_solved(matrix, pressure, rate) else np.inf)
             is_settled = all(abs(b - a) <= SETTLED * b for a, b in pairwise(estimates[-3:]))
@@ -244,12 +249,12 @@ def is_solved(matrix: PETSc.Mat, solution: PETSc.Vec, source: PETSc.Vec) -> bool
     return relative <= UNSOLVED
 
 
-def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:
-    """Add values (n,) of this rank's rows to the diagonal. Collective."""
-    diagonal = matrix.getDiagonal()
-    diagonal.setArray(diagonal.getArray() + values)
-    matrix.setDiagonal(diagonal)
-    diagonal.destroy()
+def add_storage(matrix: PETSc.Mat, values: Floats, summed: SummedBalances | None, rate: float) -> None:
+    """Add storage (n,) at this rank's flow nodes to a matrix of pressures, where some rows may be sums. Collective."""
+    if summed is None:
+        add_diagonal(matrix, values)
+    else:
+        summed.add_diagonal(matrix, values, rate)
 
 
 def change_of(old: Floats, new: Floats, comm: MPI.Comm) -> float:

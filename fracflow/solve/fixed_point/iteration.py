@@ -27,7 +27,7 @@ from fracflow.solve.accept import start_again, step_report
 from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.fixed_point.contraction import (
     Prediction,
-    add_diagonal,
+    add_storage,
     change_of,
     factor_with,
     is_solved,
@@ -206,7 +206,8 @@ class FixedPoint:
             self._network_of = self.whole_matrix.fills
             self.whole_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1], self.network)
             if prediction.storage is not None:
-                add_diagonal(self.network, prediction.storage * unit / scale)
+                rate = problem.alphas.a1 / scale
+                add_storage(self.network, prediction.storage * unit / scale, problem.loads.summed, rate)
         balance, added = self.network.createVecs()
         balance.setArray(problem.flow_balance.getArray(readonly=True) / -scale)
         self.flow.solve(balance, added)
