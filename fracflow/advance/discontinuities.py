@@ -83,15 +83,14 @@ def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepReq
         return None
     with ExitStack() as done:
         source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
-        done.callback(destroy, source, speed, *(part.walls for part in parts))
+        done.callback(destroy, source, speed)
         loads.source(request.time, request.controls, source, around)
         for moved in loads.supports:
             speed.getArray()[moved.numbers] = moved.speed(request.time, around)
         here = np.zeros((len(parts), 3))
         for row, part in zip(here, parts, strict=True):
-            pumped, taken = source.getArray()[part.nodes], part.walls.getArray() * speed.getArray()
-            before = part.walls.getArray() * state.motion.acceleration.getArray(readonly=True)
-            before[loads.held] = 0.0
+            pumped, taken = source.getArray()[part.nodes], part.walls.times(speed)
+            before = part.walls.times(state.motion.acceleration)[~np.isin(part.walls.at, loads.held)]
             row[:] = pumped.sum() - taken.sum(), before.sum(), np.abs(pumped).sum() + np.abs(taken).sum()
         change, paces, sizes = ops.layout.comm.allreduce(here, op=MPI.SUM).T
         lacks = change / dt - paces
@@ -148,7 +147,6 @@ def _first_instant(
             problem.evaluate()
         initial_acceleration(ops, problem, motion.acceleration)
         parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
-        done.callback(destroy, *(part.walls for part in parts))
         for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
             problem.pressure.getArray()[part.nodes] += level
         if parts:

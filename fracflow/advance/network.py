@@ -114,21 +114,14 @@ class FlowNetwork:
         """Rate of volume that the walls of a component open, and the sum of its absolute values [area/time]. Collective."""
         assert self._parts is not None
         closure = close(self.model.operators, self._parts, part, part.count > 1)
-        walls, speed = closure.weights, state.motion.velocity
         if closure.by != "walls":
-            walls.destroy()
             return 0.0, 0.0
-        taken, sizes = float(walls.dot(speed)), walls.copy()
-        sizes.setArray(np.abs(walls.getArray() * speed.getArray(readonly=True)))
-        moved = float(sizes.sum())
-        destroy(walls, sizes)
-        return taken, moved
+        moved = closure.weights.times(state.motion.velocity)
+        taken, size = self.model.operators.layout.comm.allreduce(np.array([moved.sum(), np.abs(moved).sum()])).tolist()
+        return taken, size
 
     def enclosed(self, loads: Loads, state: State, dt: float) -> list[EnclosedComponent]:
-        """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.
-
-        Collective.
-        """
+        """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. Collective."""
         depth, found = self.model.scene.flow_depth, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
             assert self._parts is not None
@@ -369,7 +362,6 @@ class FlowNetwork:
         self._parts = None
 
     def _forget(self) -> None:
-        destroy(*(closure.weights for found in self._closed.values() for closure in found.loads.closures))
         destroy(*(found.loads.summed for found in self._summed.values()))
         for kept in (self._closed, self._summed, self._faint_parts):
             kept.clear()

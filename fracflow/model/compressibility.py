@@ -144,8 +144,7 @@ def lost(
     if closure.by != "level":
         taken = taken_by(operators, closure, before, after)
         return float((closure.weights.dot(moved) + taken) / closure.size)
-    weights = closure.weights.getArray(readonly=True)
-    here = float(weights @ pressure_change)
+    here = float(closure.weights.values @ pressure_change[closure.weights.at])
     return float(operators.layout.comm.allreduce(here)) / operators.scales.pressure
 
 

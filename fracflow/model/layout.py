@@ -116,6 +116,27 @@ def local_rows(matrix: PETSc.Mat) -> Rows:
     return Rows(rows, indices.astype(np.int64), values)
 
 
+@dataclass(frozen=True)
+class FewEntries:
+    """A vector that is zero but at few unknowns: their local numbers ``at`` (n,) on this rank, and ``values`` (n,)."""
+
+    at: Ints
+    values: Floats
+
+    def times(self, vector: PETSc.Vec) -> Floats:
+        """Products (n,) with the entries of a vector."""
+        found: Floats = self.values * vector.getArray(readonly=True)[self.at]
+        return found
+
+    def dot(self, vector: PETSc.Vec) -> float:
+        """The sum of these products over all ranks. Collective."""
+        return float(vector.comm.tompi4py().allreduce(float(self.values @ vector.getArray(readonly=True)[self.at])))
+
+    def add_to(self, vector: PETSc.Vec, times: float = 1.0) -> None:
+        """``vector`` += ``times`` this one."""
+        vector.getArray()[self.at] += times * self.values
+
+
 def rows_of(matrix: PETSc.Mat, rows: PETSc.IS) -> PETSc.Mat:
     """Some rows of a matrix, with all its columns. The caller destroys it. Collective."""
     first, last = matrix.getOwnershipRangeColumn()

@@ -14,7 +14,7 @@ import numpy as np
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.layout import Layout, add_blocks, create_matrix, local_rows, product
+from fracflow.model.layout import FewEntries, Layout, add_blocks, create_matrix, local_rows, product
 from fracflow.model.network_parts import NetworkComponent, NetworkComponents
 from fracflow.model.operators import Operators
 
@@ -30,22 +30,20 @@ class Closure:
     by       "walls": it keeps its volume. "fluid": it keeps its compressible fluid. "level": it keeps its mean pressure,
              as its walls cannot move. So does one node pinched on all sides, which must be free to open again
     row      local number of the node on the rank that owns it, empty elsewhere
-    weights  change of the volume with the displacements, or shares of the pressures in the mean
+    weights  change of the volume with the displacements, those that it may depend on, or shares of the pressures in the mean
     size     of a volume, by which that of "walls" and "fluid" is divided [area]
     number   of the flow node that has the row, the same on every rank
     nodes    (n,) numbers of the flow nodes of the component on this rank
-    ends     (j, 2) which joint ends of this rank are in a component that keeps its fluid
-    touched  local numbers of the displacements that weights may depend on
+    ends     joints (n,) of this rank and which end of them (n,), in a component that keeps its fluid
     """
 
     by: Literal["walls", "fluid", "level"]
     row: Ints
-    weights: PETSc.Vec
+    weights: FewEntries
     size: float
     number: int
     nodes: Ints
-    ends: Bools
-    touched: Ints
+    ends: tuple[Ints, Ints]
 
 
 def change_volume(operators: Operators, parts: NetworkComponents, fixed_solid: Ints) -> Bools:
@@ -70,45 +68,46 @@ def change_volume(operators: Operators, parts: NetworkComponents, fixed_solid: I
 def close(
     operators: Operators, parts: NetworkComponents, part: NetworkComponent, gives: bool, holds: bool = False
 ) -> Closure:
-    """The closure of an undrained component, by whether its walls can move. The caller owns its weights. Collective.
+    """The closure of an undrained component, by whether its walls can move. Collective.
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """
     layout, network, scales = operators.layout, operators.network, operators.scales
-    inside = layout.flow_vector()
     local = part.nodes - int(layout.flow_starts[layout.comm.rank])
     row = local[part.nodes == part.root]
     size, nothing = scales.length * scales.displacement, np.zeros(0, dtype=np.int64)
-    no_ends = np.zeros(parts.ends.shape, dtype=bool)
     if not holds and (part.count == 1 or not gives):
-        inside.getArray()[local] = 1.0 / part.count
-        return Closure("level", row, inside, size, part.root, part.nodes, no_ends, nothing)
+        shares = FewEntries(local, np.full(len(local), 1.0 / part.count))
+        return Closure("level", row, shares, size, part.root, part.nodes, (nothing, nothing))
+    inside = layout.flow_vector()
     inside.getArray()[local] = 1.0
-    weights = layout.solid_vector()
-    network.storage_coupling.mult(inside, weights)
+    weights = product(network.storage_coupling, inside)
     inside.destroy()
     if not holds:
-        return Closure("walls", row, weights, size, part.root, part.nodes, no_ends, nothing)
+        return Closure("walls", row, _entries(weights), size, part.root, part.nodes, (nothing, nothing))
     ends, walls = parts.roots[parts.ends] == part.root, local_rows(network.storage_coupling)
     volume = float(np.sum(np.where(ends, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
     soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
     touched = np.unique(walls.rows[parts.roots[parts.at(walls.cols)] == part.root])
-    return Closure(
-        "fluid", row, weights, max(size if gives else 0.0, soft) or size, part.root, part.nodes, ends, touched
-    )
+    fluid, (joint, end) = max(size if gives else 0.0, soft) or size, np.nonzero(ends)
+    return Closure("fluid", row, _entries(weights, touched), fluid, part.root, part.nodes, (joint, end))
+
+
+def _entries(weights: Floats, *also: Ints) -> FewEntries:
+    at = np.union1d(np.flatnonzero(weights), np.concatenate([np.zeros(0, dtype=np.int64), *also]))
+    return FewEntries(at, weights[at])
 
 
 def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
     """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); none on ranks without it. Collective."""
-    local = closure.weights.getArray(readonly=True)
-    first = closure.weights.getOwnershipRange()[0]
-    entries = np.union1d(np.flatnonzero(local), closure.touched)
-    number = layout.flow_numbers if closure.by == "level" else layout.solid_numbers
+    entries, is_level = closure.weights, closure.by == "level"
+    first = int((layout.flow_starts if is_level else layout.solid_starts)[layout.comm.rank])
+    number = layout.flow_numbers if is_level else layout.solid_numbers
     fluid = layout.flow_numbers(closure.nodes) if closure.by == "fluid" else closure.nodes[:0]
-    here = number(entries + first), fluid, local[entries], np.zeros(len(fluid))
+    here = number(entries.at + first), fluid, entries.values, np.zeros(len(fluid))
     gathered = layout.comm.gather(here, root=int(owner_of(layout.flow_starts, np.array([closure.number]))[0]))
     if gathered is None:
-        return closure.nodes[:0], local[:0]
+        return closure.nodes[:0], entries.values[:0]
     walls, held, weights, nothing = (np.concatenate(each) for each in zip(*gathered, strict=True))
     return np.concatenate([walls, held]), np.concatenate([weights, nothing])
 

@@ -12,7 +12,7 @@ from fracflow.errors import SolveError, is_alone
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.joints import entry_sizes
-from fracflow.model.layout import create_matrix, product
+from fracflow.model.layout import FewEntries, create_matrix, product
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
@@ -34,7 +34,7 @@ class EnclosedComponent:
     """
 
     nodes: Ints
-    walls: PETSc.Vec
+    walls: FewEntries
     rate: float
 
 
@@ -113,20 +113,30 @@ def levels(
     Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.
     """
     matrix, solver = _mass(operators, loads)
-    yields = [part.walls.copy() for part in parts]
-    gives, moved = np.zeros((len(parts), len(parts))), yields[0].duplicate()
-    for row, walls in enumerate(yields):
-        if operators.inward is not None:
-            operators.inward.multTranspose(parts[row].walls, walls)
-        loads.release(walls)
-        solver.solve(walls, moved)
+    gives, (push, moved) = np.zeros((len(parts), len(parts))), (operators.layout.solid_vector() for _ in range(2))
+    for row in range(len(parts)):
+        _push(operators, loads, parts[row : row + 1], np.ones(1), push)
+        solver.solve(push, moved)
         gives[:, row] = [other.walls.dot(moved) for other in parts]
     added: Floats = np.linalg.lstsq(gives, lacks, rcond=None)[0]
-    push = moved.duplicate()
-    push.maxpy(added.tolist(), yields)
+    _push(operators, loads, parts, added, push)
     solver.solve(push, moved)
-    destroy(*yields, push, solver, matrix)
+    destroy(push, solver, matrix)
     return added, moved
+
+
+def _push(
+    operators: Operators, loads: Loads, parts: Sequence[EnclosedComponent], levels: Floats, result: PETSc.Vec
+) -> None:
+    """``result`` = sum c w, zero where held, for levels c (k,); where masses were moved inward, forces on these. Collective."""
+    result.set(0.0)
+    for part, level in zip(parts, levels, strict=True):
+        part.walls.add_to(result, level)
+    if operators.inward is not None:
+        outer = result.copy()
+        operators.inward.multTranspose(outer, result)
+        outer.destroy()
+    loads.release(result)
 
 
 def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:

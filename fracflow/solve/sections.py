@@ -139,6 +139,17 @@ class FlowOnJoints:
         left, *sizes = over_ranks([beyond, *terms, largest(given)], self.operators.layout.comm)
         return left / max(*sizes, TINY), slope.transpose(0, 2, 1).reshape(-1, 2)
 
+    def left(self, problem: SectionProblem, own: Floats, own_slopes: Floats) -> PETSc.Vec:
+        """Flow that pressures have to balance once sections open by ``own`` (s,), whose slopes are (s, 2). Collective."""
+        result = problem.flow_balance.copy()
+        taken = problem.alphas.a1 * self.operators.joints.weights * own
+        both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
+        self.operators.network.taken_up(taken.reshape(-1, 2) + both, result)
+        result.scale(-1.0)
+        for part in problem.loads.pressures:
+            result.getArray()[part.numbers] = 0.0
+        return result
+
     def solve(
         self,
         problem: SectionProblem,
@@ -175,13 +186,7 @@ class FlowOnJoints:
         self.matrix.assemble()
         self.fills += 1
 
-        left, change = problem.flow_balance.copy(), problem.pressure.duplicate()
-        taken = rate * self.operators.joints.weights * own
-        both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
-        network.taken_up(taken.reshape(-1, 2) + both, left)
-        left.scale(-1.0)
-        for part in problem.loads.pressures:
-            left.getArray()[part.numbers] = 0.0
+        left, change = self.left(problem, own, own_slopes), problem.pressure.duplicate()
         self.solver.setOperators(self.matrix)
         self.solver.solve(left, change)
         try:
@@ -214,7 +219,7 @@ class SectionReport:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class SectionRows:
     """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 
     left: Floats
@@ -326,7 +331,7 @@ class SectionSolver:
 
     def _gather(
         self, free: Floats, change: Floats, push: Floats, known: Floats, moduli: Floats, slopes: Floats, share: float
-    ) -> _Rows:
+    ) -> SectionRows:
         """Gather data of this rank's sections in the clusters, with the balance of motions there. Collective.
 
         known  sizes of the terms whose difference is ``push``
@@ -341,9 +346,9 @@ class SectionSolver:
             column = len(batch.sections), -1, 1
             left[at] -= share * (batch.compliance @ push[at].reshape(column)).reshape(shape)
             size[at] += share * (widest @ known[at].reshape(column)).reshape(shape)
-        return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
+        return SectionRows(left, size, flat.reshape(-1, dim, dim), slopes)
 
-    def _step(self, problem: SectionProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
+    def _step(self, problem: SectionProblem, rows: SectionRows, own_slopes: Floats, share: float) -> Floats:
         """Newton's correction (s, dim) of the motion of sections; that of the pressures is applied here. Collective."""
         dim, exchange = rows.left.shape[1], self.clusters.exchange
         alone, by_pressure = np.zeros_like(rows.left), []

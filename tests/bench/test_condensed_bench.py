@@ -28,3 +28,15 @@ def test_small_bench_keeps_its_bars_and_tells_a_missed_one(tmp_path):
     assert [row["condensed_newton"] for row in rows] == [row["newton_newton"] for row in rows] and len(rows) == 5
     assert [row["condensed_sliding"] for row in rows] == [row["modified_sliding"] for row in rows]
     assert any(float(row["newton_sliding"]) > 0 for row in rows), "the scene slips"
+
+
+@pytest.mark.starts_ranks
+def test_rank_0_and_all_ranks_solve_for_the_same_sections():
+    words = [sys.executable, ROOT / "scripts/benches/condensed_ranks.py", "16", "--steps", "2", "--fluid"]
+    clean = without_ranks() | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL, env=clean)
+    assert done.returncode == 0, done.stdout + done.stderr
+    first, other, apart = done.stdout.splitlines()
+    assert "rank 0" in first and "all ranks" in other and float(apart.split("by ")[1].split()[0]) > 0.0, (
+        "no other way was taken"
+    )

@@ -15,7 +15,7 @@ from fracflow.integrators import STEPPERS
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
-from fracflow.solve.condensed import CondensedRock
+from fracflow.solve.condensed import CondensedRock, spread
 from fracflow.solve.condensed_cost import break_even, condensed_step, condensing_cost, fits, full_step
 from fracflow.solve.jacobian import JoinedMatrix
 
@@ -111,6 +111,27 @@ def test_agrees_with_newton_on_all_unknowns(case):
         assert max(step.report.cycles for step in found) <= most
 
 
+@pytest.mark.parametrize("case", ["compressible", "gauss"])
+def test_all_ranks_solve_for_the_sections_as_rank_0_does(case, monkeypatch):
+    """Of several ranks each has the rows of its own sections; one rank takes no other way."""
+    scene = _scene("condensed", **CASES[case])
+    model, comm = prepare(scene, MPI.COMM_WORLD), MPI.COMM_WORLD
+    made, runs = [], []
+    monkeypatch.setattr(
+        spread.DenseSystem, "_rows", lambda *given, of=spread.DenseSystem._rows: made.append(1) or of(*given)
+    )
+    for fewest in (10**9, 0):
+        monkeypatch.setattr(spread, "FEWEST", fewest)
+        runs.append(_run(model, scene))
+        assert bool(made) == (fewest == 0 and comm.size > 1)
+    for mine, theirs in zip(*runs, strict=True):
+        for key, vector in _vectors(mine.state).items():
+            apart = vector - _vectors(theirs.state)[key]
+            assert apart.norm(3) <= 1e-12 * _vectors(theirs.state)[key].norm(3), key
+        assert mine.report.newton == theirs.report.newton
+        assert np.array_equal(mine.state.sections.is_sliding, theirs.state.sections.is_sliding)
+
+
 def _vectors(state):
     return {"u": state.motion.displacement, "v": state.motion.velocity, "p": state.pressure}
 
@@ -131,7 +152,7 @@ def test_compliance_is_that_of_the_inverse():
     whole = alphas.mass * mass + stiff + jump.T @ (springs[:, None] * jump)
     free = np.setdiff1d(np.arange(len(whole)), model.loads.held)
     wanted = jump[:, free] @ np.linalg.solve(whole[np.ix_(free, free)], jump[:, free].T)
-    found = rock.clusters.batches[0].compliance[0]
+    found = rock.compliance
     assert np.abs(found - wanted).max() <= 1e-12 * np.abs(wanted).max()
     rock.destroy()
     matrix.destroy()

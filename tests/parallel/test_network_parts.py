@@ -55,9 +55,8 @@ def facts_of(model, share):
         for holds in (False, True):
             closure = close(ops, parts, part, parts.at_root(moves, part), holds)
             cols, weights = closure_row(closure, ops.layout)
-            joined = comm.allreduce(np.array([len(cols), weights.sum(), np.abs(weights).sum(), closure.ends.sum()]))
+            joined = comm.allreduce(np.array([len(cols), weights.sum(), np.abs(weights).sum(), len(closure.ends[0])]))
             closed.append((closure.by, *joined.tolist(), closure.size, comm.allreduce(len(closure.row))))
-            closure.weights.destroy()
     found = (
         nodes,
         parts.count,
