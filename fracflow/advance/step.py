@@ -12,7 +12,6 @@ from fracflow._petsc import destroy, timed
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
-from fracflow.advance.first_guess import first_guess
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.slip_rate import creeps
@@ -32,7 +31,7 @@ from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
-from fracflow.solve.accept import accept, remember
+from fracflow.solve.accept import accept, first_guess, remember
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import StepProblem, Work
 from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
@@ -232,7 +231,7 @@ class SingleStep:
         trials = Trials(loads, state)
         if ops.flow is not None:
             network.update(state)
-        trial = first_guess(solvers.model, rule, state, request)
+        trial = first_guess(solvers.model, rule, state, request, creeps(solvers.model))
         for reached in trials:
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))

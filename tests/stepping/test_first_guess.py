@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance import first_guess, step
+from fracflow.advance import step
 from fracflow.output import read_history
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
+from fracflow.solve import accept
 
 DATA = {
     "rock": {"rock": {"youngs_modulus": 10e9, "poissons_ratio": 0.25, "density": 2500}},
@@ -30,7 +31,7 @@ DATA = {
 @pytest.mark.serial
 def test_walls_that_go_on_save_iterations(tmp_path, monkeypatch):
     """None is made where walls would come to the end of their closure, which the second run pretends."""
-    made, whole = [], first_guess.first_guess
+    made, whole = [], accept.first_guess
 
     def seen(*given):
         found = whole(*given)
@@ -39,8 +40,8 @@ def test_walls_that_go_on_save_iterations(tmp_path, monkeypatch):
 
     monkeypatch.setattr(step, "first_guess", seen)
     found = []
-    for name, left in (("guessed", first_guess.LEFT), ("from rest", 1e-9)):
-        monkeypatch.setattr(first_guess, "LEFT", left)
+    for name, left in (("guessed", accept.LEFT), ("from rest", 1e-9)):
+        monkeypatch.setattr(accept, "LEFT", left)
         made.append([])
         run(Scene.from_data(DATA, tmp_path / f"{name}.toml"), tmp_path / name, MPI.COMM_SELF)
         found.append(read_history(tmp_path / name / "history.h5"))
