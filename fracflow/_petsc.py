@@ -184,6 +184,11 @@ def _end_contexts() -> None:
             solver.getPC().setType("none")
 
 
+def summed(here: Any, comm: MPI.Comm) -> Any:
+    """The sum of an array over all ranks; on one rank itself, since MPI would pack and unpack it. Collective."""
+    return here if comm.size == 1 else comm.allreduce(here, op=MPI.SUM)
+
+
 def destroy(*things: Any) -> None:
     """Free PETSc objects, and others that own some; None is passed over. Collective."""
     for thing in things:
@@ -191,4 +196,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "timed"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "summed", "timed"]

@@ -22,6 +22,7 @@ from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
 
+BOTH_WAYS = np.array([1.0, -1.0])  # out of the first end of an element, into the second
 STORAGE = {
     "lumped": ("lumped", "lumped"),
     "consistent": ("consistent", "consistent"),
@@ -239,7 +240,7 @@ class Flow:
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
         """(3.20) ``result`` += K_F p, flow from each flow node into its elements, and outflow by terms. Collective."""
         through = flow.element_flow(state.conductance, state.pressure)
-        sent = np.stack([through, -through], axis=1)
+        sent = through[:, None] * BOTH_WAYS
         self.taken_up(sent if state.leaving is None else sent + state.leaving.rate, result)
 
 

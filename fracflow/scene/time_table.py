@@ -18,6 +18,8 @@ JUST_BEFORE: Around = (1e-200, 0.0)
 """Around a time at which only what comes before a jump counts; and only what comes after it."""
 JUST_AFTER: Around = (0.0, 1e-200)
 
+MOST_KEPT = 16  # numbers that a table has found last
+
 
 @dataclass(frozen=True)
 class TimeTable:
@@ -47,7 +49,19 @@ class TimeTable:
         """Sample the table; at a jump, within 1e-12 of its time, by default the mean of both sides."""
         if len(self.times) == 1:  # most supports, whose unknowns ask for it many times a step
             return float(self.values[0])
-        return float(self.around(time, *around)[0])
+        return self._once(("at", time, *around), lambda: float(self.around(time, *around)[0]))
+
+    def _once(self, asked: tuple[Any, ...], find: Callable[[], float]) -> float:
+        """A number found by ``find``, which a step asks for several times."""
+        if asked not in self._found:
+            if len(self._found) == MOST_KEPT:
+                self._found.clear()
+            self._found[asked] = find()
+        return self._found[asked]
+
+    @cached_property
+    def _found(self) -> dict[tuple[Any, ...], float]:
+        return {}
 
     @cached_property
     def _arrays(self) -> tuple[Floats, Floats]:
@@ -147,6 +161,9 @@ class TimeTable:
 
     def mean(self, begin: float, end: float) -> float:
         """Its integral between two times over the time between them, to round-off; ``begin`` < ``end``."""
+        return self._once(("mean", begin, end), lambda: self._mean(begin, end))
+
+    def _mean(self, begin: float, end: float) -> float:
         times = np.array(self.times)
         knots = np.concatenate([[begin], np.unique(times[(times > begin) & (times < end)]), [end]])
         first, last = self.around(knots[:-1], *JUST_AFTER), self.around(knots[1:], *JUST_BEFORE)
@@ -160,6 +177,9 @@ class TimeTable:
         """
         if before <= 0.0 or len(self.times) == 1:
             return 0.0
+        return self._once(("bent", time, before, after), lambda: self._bent(time, before, after))
+
+    def _bent(self, time: float, before: float, after: float) -> float:
         at, sizes = self.kinks
         inside = np.clip(at - (time - before), 0.0, None) * np.clip(time - at, 0.0, None)
         return -float(sizes @ inside) / (before + after)

@@ -21,6 +21,7 @@ from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
 from fracflow.solve.factors.free_block import factor_by_lapack, is_full
+from fracflow.solve.factors.unpivoted import Unpivoted
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.fractured_rock.rigid_motions import node_size, tell_rigid_motions
 from fracflow.solve.jacobian import PARTS, JoinedMatrix
@@ -290,6 +291,7 @@ class KeptFactors:
         self._worth = solves_per_factor(matrix.layout.total, _is_swift(solver))
         self._most = max(int(self._worth), 2 * USUAL)
         self._fills = -1  # of the matrix, when it was factored
+        self._unpivoted = Unpivoted(solver, matrix.layout.total)
         self.begin()
         solver.setType("fgmres")
         solver.setGMRESRestart(self._most)
@@ -299,6 +301,7 @@ class KeptFactors:
         """A step begins: factors of the step before are dropped."""
         self._spent, self._is_fresh, self._is_first = 0.0, False, True
         self._pause = self._wait = 0
+        self._unpivoted.begin()
 
     def changed(self, must: bool = False) -> None:
         """Take notice of a matrix that was filled. Collective.
@@ -315,6 +318,7 @@ class KeptFactors:
         """Factors of the present matrix. Collective."""
         self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.made, self._fills, self._spent, self._is_fresh = self.made + 1, self.matrix.fills, 0.0, True
+        self._unpivoted.factor(self.factored)
 
     def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
         """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""

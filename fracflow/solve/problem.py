@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy, timed
+from fracflow._petsc import PETSc, destroy, summed, timed
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
@@ -98,7 +98,7 @@ class StepProblem:
         self.taken_up: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
-        self._widest: list[float] | None = None
+        self._scale: float | None = None  # of flows, as the present conductances have it
         self._before = 0.0 if operators.flow is None else np.abs(operators.flow.driving(state.pressure))
 
     @cached_property
@@ -269,7 +269,7 @@ class StepProblem:
         stored = None if self.loads.summed is None else flow.getArray() - self.source.getArray(readonly=True)
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
         self.conduction = network.conduct(self.displacement, self.pressure, walls, self.term_step())
-        self._widest = None
+        self._scale = None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression
@@ -364,7 +364,7 @@ class StepProblem:
         if self.loads.summed is not None:
             left = self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
         here = np.array([left @ driving, spent + brought])
-        missed, power = self.operators.layout.comm.allreduce(here)
+        missed, power = summed(here, self.operators.layout.comm)
         largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
         return abs(dt * float(missed)) / max(largest, TINY)
 
@@ -372,15 +372,15 @@ class StepProblem:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
         if self.conduction is None:
             return 1.0
-        if self._widest is None:
-            stored = self.conduction.compression
+        if self._scale is None:
+            stored, scales = self.conduction.compression, self.operators.scales
             held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
             here = [float(self.conduction.conductance.max(initial=0.0)), held]
-            self._widest = over_ranks(here, self.operators.layout.comm)
-        (conducts, holds), scales = self._widest, self.operators.scales
-        scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
-        scale = max(scale, self.alphas.b1 * holds * scales.pressure)
-        return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+            conducts, holds = over_ranks(here, self.operators.layout.comm)
+            scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
+            scale = max(scale, self.alphas.b1 * holds * scales.pressure)
+            self._scale = float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+        return self._scale
 
     def undetermined(self, nodes: Ints) -> float:
         """Part of what nodes (n,) of this rank draw that is round-off, or left by the solver [volume rate per thickness]."""

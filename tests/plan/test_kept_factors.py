@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from fracflow._petsc import MPI, PETSc
 from fracflow.output import read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 from fracflow.solve import linear, options
+from fracflow.solve.factors import unpivoted
 
 ROCK = """
 [output]
@@ -127,9 +129,14 @@ def test_umfpack_changes_nothing_but_the_work(history, monkeypatch, comm):
 
 
 @pytest.mark.serial
-def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch):
+@pytest.mark.parametrize("unpivoted_to", [None, 0, 2000], ids=["mumps", "umfpack", "without pivots"])
+def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch, unpivoted_to):
     """Cut in the middle of slip: every number of the history to the last bit."""
-    monkeypatch.setattr(linear, "LEAST_WORTH", 0.0)
+    if unpivoted_to is None:
+        monkeypatch.setattr(linear, "LEAST_WORTH", 0.0)
+    else:
+        monkeypatch.setattr(options, "SWIFT_FROM", 0)
+        monkeypatch.setattr(unpivoted, "UNPIVOTED_TO", unpivoted_to)
     file, whole, cut = (tmp_path / name for name in ("scene.toml", "whole", "cut"))
     file.write_text(SLIDING.replace("steps = 40", "steps = 28"))
     scene = load(file, ['method.coupling="whole-lu"', "output.checkpoint_every=5"])
@@ -149,6 +156,26 @@ def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch):
     assert [
         k for k in sought if k != "step/factorisations" and not np.array_equal(sought[k], found[k], equal_nan=True)
     ] == []
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("pivot", "package"), [(1.0, "petsc"), (1e-14, "umfpack"), (0.0, "umfpack")])
+def test_factors_without_pivots_are_left_where_a_row_loses_digits(pivot, package):
+    """And are tried anew in the next step."""
+    matrix = PETSc.Mat().createAIJ((3, 3), nnz=3, comm=MPI.COMM_SELF)
+    matrix.setValues(range(3), range(3), [pivot, 2.0, 0.0, 1.0, pivot, 3.0, 0.0, 1.0, 5.0])
+    matrix.assemble()
+    solver = PETSc.KSP().create(comm=MPI.COMM_SELF)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("umfpack")
+    factors = unpivoted.Unpivoted(solver, 3)
+    for _ in range(2):
+        factors.begin()
+        assert solver.getPC().getFactorSolverType() == "petsc"
+        factors.factor(matrix)
+        assert solver.getPC().getFactorSolverType() == package
+        assert unpivoted.worst_row(solver.getPC(), matrix) < 1e-14
 
 
 @pytest.mark.serial
