@@ -308,3 +308,10 @@ def test_friction_with_a_state_tells_how_far_from_steady_it_starts(rate, evoluti
     assert dependence.value == pytest.approx((0.01 - evolution) * 120e6, rel=1e-9)
     assert ("unstable" in dependence.note) == (evolution > 0.01) and "D_c 0.004" in dependence.note
     assert (card["creep nucleation"].value is None) == (evolution < 0.01)
+    by_slip = Scene.from_data(FAULT | {"fracture": {"fault": state | {"state_law": "slip"}}})
+    zone = {number.name: number for number in pre_run_checks(by_slip, read_split(by_slip), {})}[
+        "state evolution length"
+    ]
+    falls = abs(np.log(start.value * 1e-6 / rate))  # ln(V0 theta/D_c)
+    assert card["state evolution length"].value / zone.value == pytest.approx(max(falls, 1.0), rel=1e-6)
+    assert zone.note == (f"slip law: D_c/{falls:.3g} at fronts" if falls > 1.0 else "")

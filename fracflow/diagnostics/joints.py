@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
@@ -34,6 +36,7 @@ class CheckJoints:
     distance         (j, 2) slip over which it does: 0 where it falls at once, inf where it does not [length]
     direct, evolution  (j, 2) a sigma and b sigma of friction with a state at the initial normal traction; else 0 [stress]
     state_length     (j, 2) D_c of that friction; else inf [length]
+    front_length     (j, 2) the slip over which the state evolves at a front; else inf [length]
     state, steady    (j, 2) its theta at the start [time], and V theta/D_c, 1 of steady slip; else NaN
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
     mode_2_modulus   mu* = G/(1 - nu) of slip in the plane, likewise [stress]
@@ -63,6 +66,7 @@ class CheckJoints:
     direct: Floats
     evolution: Floats
     state_length: Floats
+    front_length: Floats
     state: Floats
     steady: Floats
     modulus: Floats
@@ -100,6 +104,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         shear=ends("shear_stiffness"), aperture=aperture, conducting=np.where(np.isnan(given), cubic, given),
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
         direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
+        front_length=states[5],
         laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
         modulus=2.0 * _in_series(beside["modulus"]), mode_2_modulus=2.0 * _in_series(beside["mode_2_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
@@ -136,10 +141,11 @@ def _of_laws(
 ) -> tuple[Floats, ...]:
     """Fall of strength (j, 2) under initial tractions f_s0 and f_n0 (j, 2), and the slip (j, 2) over which it comes.
 
-    Then direct and evolution effect, slip of evolution, theta at the start and V theta/D_c of friction with a state.
+    Then direct and evolution effect, slip of evolution, theta at the start and V theta/D_c of friction with a state, and
+    slip of evolution at a front.
     """
     pressed = np.maximum(-normal, 0.0)
-    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf, np.nan, np.nan))
+    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf, np.nan, np.nan, np.inf))
     of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
     for name in sorted(set(of_fracture)):
         here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
@@ -157,15 +163,25 @@ def _of_laws(
             into[here] = each.reshape(-1, 2)
         if law.creeps:
             tractions = dict(initial_normal_traction=normal[here].ravel(), initial_shear_traction=sheared[here].ravel())
-            start = make_law(name, **given, **tractions).initial_history(count, 2)
+            of_scene = make_law(name, **given, **tractions, **_choices(scene, mesh, name, here))
+            start = of_scene.initial_history(count, 2)
             found[5][here] = start["state"].reshape(-1, 2)
             found[6][here] = (start["sliding_rate"] * start["state"] / evolves).reshape(-1, 2)
+            found[7][here] = of_scene.front_length(start).reshape(-1, 2)
     return found
 
 
 def _numbers_of(law: str) -> Iterator[str]:
     """Keys of a law whose values are numbers."""
     return (name for name, key in keys_of(JOINT_LAWS[law]).items() if not key.choices)
+
+
+def _choices(scene: Scene, mesh: SplitMesh, law: str, here: Bools) -> dict[str, NDArray[Any]]:
+    """Words of the scene for the keys of a law that are no numbers, at both ends of joints ``here`` (j,)."""
+    names = [key for key, meaning in keys_of(JOINT_LAWS[law]).items() if meaning.choices]
+    tables = [scene.fracture_named(name) for name in mesh.fractures]
+    of_joints = np.repeat(mesh.joint_fracture[here], 2)
+    return {key: np.array([getattr(table, key, None) or "" for table in tables])[of_joints] for key in names}
 
 
 def _of_slower(speed: Floats, values: Floats) -> Floats:

@@ -162,12 +162,16 @@ def _finer(view: CheckInput, joint: int, share: float) -> str:
 
 
 def _state_lengths(view: CheckInput) -> tuple[Floats, Floats]:
-    """L_b = mu* D_c/(b sigma), and h* = 2 mu* b D_c/(pi (b - a)^2 sigma) where b > a (j, 2); NaN elsewhere [length]."""
+    """L_b = mu* D_c/(b sigma), and h* = 2 mu* b D_c/(pi (b - a)^2 sigma) where b > a (j, 2); NaN elsewhere [length].
+
+    By the slip law theta falls over D_c/ln(V theta/D_c) at a front, and that stands for D_c in L_b.
+    """
     joints = view.joints
     b, weakens = joints.evolution, joints.evolution > joints.direct
     with np.errstate(divide="ignore", invalid="ignore"):
-        each = np.where(b > 0.0, joints.mode_2_modulus[:, None] * joints.state_length / b, np.nan)
-        longest = np.where(weakens, 2.0 / np.pi * each * (b / (b - joints.direct)) ** 2, np.nan)
+        ratio = joints.mode_2_modulus[:, None] / np.where(b > 0.0, b, np.nan)
+        longest = np.where(weakens, 2.0 / np.pi * ratio * joints.state_length * (b / (b - joints.direct)) ** 2, np.nan)
+        each = ratio * joints.front_length
     return np.where(np.isfinite(each), each, np.nan), np.where(np.isfinite(longest), longest, np.nan)
 
 
@@ -177,15 +181,16 @@ def state_zone(view: CheckInput) -> Number:
     inverse, joint, where = view.worst(joints.length[:, None] / _state_lengths(view)[0])
     if not inverse:
         return Number(name, formula, note="no friction with a state")
-    value = 1.0 / inverse
+    value, shorter = 1.0 / inverse, float((joints.state_length[joint] / joints.front_length[joint]).max())
+    note = f"slip law: D_c/{shorter:.3g} at fronts" if shorter > 1.0 else ""
     if value >= STATE:
-        return Number(name, formula, value, STATE, False, where)
+        return Number(name, formula, value, STATE, False, where, note=note)
     remedy = (
         f"fronts of slip run too slowly, and slip stops joint by joint: joints shorter than"
         f" {joints.length[joint] * value / STATE:.3g}{view.unit(LENGTH)}, or characteristic_slip above"
         f" {joints.state_length[joint].max() * STATE / value:.3g}{view.unit(LENGTH)}"
     )
-    return Number(name, formula, value, STATE, True, where, remedy)
+    return Number(name, formula, value, STATE, True, where, remedy, note)
 
 
 def state_nucleation(view: CheckInput) -> Number:

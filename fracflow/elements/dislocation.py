@@ -8,6 +8,9 @@ discontinuities (Crouch and Starfield 1983), tested by jumps that are linear too
 
 At a tip D is a root of the distance, and b in the last joint is far from constant. Without more a crack of equal joints is
 0.114 of one too short at each tip, and its jumps err by order 1 (`at_tips`).
+
+Where D is smooth, forces over the lengths of equal joints h are too small: by (k h)^2/6 for a wave number k. For the force at a
+node is the mean of the stress over both its joints, and so is a jump that is linear between nodes.
 """
 
 from __future__ import annotations

@@ -209,6 +209,10 @@ class JointLaw(Protocol):
         """Slip (n,) over which the friction's state evolves after ``history``, for steps to resolve; inf without [length]."""
         return np.full(len(next(iter(history.values()), ())), np.inf)
 
+    def front_length(self, history: History) -> Floats:
+        """The same (n,) at a front of fast slip that comes after ``history``, for joints to resolve [length]."""
+        return self.state_length(history)
+
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
         """By how much strength (n,) rises where slip is e times as fast, at once, and how much of it the state takes back.
 

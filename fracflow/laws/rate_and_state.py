@@ -246,6 +246,11 @@ class RateAndState(JointLaw):
         found: Floats = d_c / np.where(self._slips(len(theta)), np.maximum(away, 1.0), 1.0)
         return found
 
+    def front_length(self, history: History) -> Floats:
+        """D_c (n,); by the slip law over ln(V0 theta/D_c), for V0 stands for the rate of slip at a front [length]."""
+        fast = per_section(self.reference_slip_rate, len(history["state"]))
+        return self.state_length({**history, "sliding_rate": np.maximum(history["sliding_rate"], fast)})
+
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
         """Direct and evolution effect a sigma, b sigma (n,) under a compression (n,) [stress]."""
         _, _, a, b, _ = self._friction(len(compression))

@@ -198,14 +198,18 @@ class Growing(Backing):
     def __init__(self, path: Path) -> None:
         """Make the file, empty. Raises OSError."""
         super().__init__(part_of(path))
-        self.path, self._rest = path, 0.0
+        self.path, self._rest, self._pause = path, 0.0, 0.0
         self._try(part_of(path).unlink)
-        self._redo, self._put_down, self._published = -1, 0, 0.0
+        self._redo, self._put_down, self._published, self._used = -1, 0, 0.0, 0.0
 
     def is_due(self, size: int) -> bool:
         """Whether PATH may be brought up to date at a share of the time since it was, or a row makes PATH.redo too long."""
         is_long = self._put_down + size > LONGEST_REDO
-        return self._redo < 0 or is_long or time.monotonic() - self._published > self._rest
+        if self._redo < 0 or is_long:
+            return True
+        # by both clocks: on a busy machine time passes while this process waits
+        ran, passed = time.process_time() - self._used, time.monotonic() - self._published
+        return ran > self._rest and passed > self._pause
 
     def put_down(self, number: int, row: bytes) -> None:
         """Let a row with a number count, once PATH has those before. Raises OSError; then it does not count."""
@@ -223,8 +227,8 @@ class Growing(Backing):
         self.check()
         self._try(self._copy)
         self.check()
-        self._published = time.monotonic()
-        self._rest = max(SHARE * (time.process_time() - used), 0.1 * SHARE * (self._published - began))
+        self._published, self._used = time.monotonic(), time.process_time()
+        self._rest, self._pause = SHARE * (self._used - used), 0.1 * SHARE * (self._published - began)
 
     def close(self) -> None:
         """Close the file; without an error it needs PATH.redo no more."""

@@ -71,6 +71,18 @@ def test_equal_joints_along_a_crack_have_order_two():
     assert first == pytest.approx(0.14, abs=2e-3) and np.abs(next_ones).max() < 0.008
 
 
+def test_waves_along_equal_joints_meet_less_stress_by_a_sixth_of_their_square():
+    """The mean of k^2 in the stress in the middle of a jump exp(-x^2/w^2), sqrt(pi)^-1/w without h, is 4/w^2."""
+    for width in (8.0, 16.0):  # joints
+        nodes = np.arange(-8.0 * width, 8.0 * width + 1.0)
+        line = np.stack([nodes, 0.0 * nodes], axis=1)
+        beside = len(nodes) // 2 - np.array([1, 0])
+        means = energies(np.stack([line[:-1], line[1:]], axis=1), beside)[:, :, 0]
+        before, behind = means @ np.diff(np.exp(-((nodes / width) ** 2))) / (4.0 * np.pi)
+        lack = 1.0 - (behind - before) * 2.0 * np.sqrt(np.pi) * width
+        assert lack == pytest.approx(4.0 / width**2 / 6.0, rel=2.0 / width**2 + 0.1 / width)
+
+
 def test_a_tip_is_an_end_of_one_segment():
     ends, _ = crack(3)
     np.testing.assert_allclose(at_tips(ends) / AT_TIP, [0, 0, 1] * 3, atol=1e-14)

@@ -240,6 +240,18 @@ def test_a_rupture_that_nothing_damps_is_told(tmp_path, override, warns):
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
+    ("cells", "stepper", "tells"),
+    [(QUADRILATERALS, "newmark", True), (QUADRILATERALS, "explicit", False), (TRIANGLES, "newmark", False)],
+)
+def test_the_rule_that_is_cheaper_for_a_rupture_is_told_on_mirrored_walls(tmp_path, cells, stepper, tells):
+    (tmp_path / "fault.geo").write_text(GEO.format(above=16))
+    (tmp_path / "scene.toml").write_text(FAULT + cells, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [f"method.stepper={stepper}"]))
+    assert any('"explicit" has the same error in 0.4' in line for line in lines) == tells
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
     ("overrides", "warns"),
     [
         (["geometry.growth=0.3"], True),
