@@ -10,14 +10,14 @@ energy balance.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import facet
-from fracflow.mesh.data import Ints
+from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.shared import Shared
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import CHANGE_OF_ROCK
@@ -73,7 +73,7 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
     loads.release(left)
     support.axpy(-1.0, left)
     ops.prestress.axpy(-1.0, left)
-    mean, most = _as_traction(ops, left)
+    mean, most = as_traction(ops, left)
     destroy(left, term)
 
     on_sides = 0.0 if old.scene.is_unbounded else _work_on_sides(before, state.motion.displacement)
@@ -99,6 +99,45 @@ def handed_over(old: Model, new: Model, state: State) -> Handed:
         memory={name: _of_joints(before, ops, values) for name, values in state.memory.items()},
     )
     return Handed(handed, mean, most, more)
+
+
+class Unslipped(NamedTuple):
+    """Rock without a mesh as an event takes it, on this rank.
+
+    displacement  of its walls (n,) [length]
+    traction      (s, dim) of sections [stress]
+    """
+
+    displacement: Floats
+    traction: Floats
+
+    @classmethod
+    def of(cls, state: State) -> Unslipped:
+        """Copies of what a state in that rock has."""
+        return cls(state.motion.displacement.getArray(readonly=True).copy(), state.sections.traction.copy())
+
+    def share(self, ops: Operators, after: State, frozen: PETSc.Vec) -> float:
+        """Frozen forces on walls over the stress drop of the event that has led to ``after``, both weighted by slip.
+
+        sum |f.D|/sum w (t - t').D over nodes and sections, with the jumps D of the event; those at nodes are of both signs, and
+        none makes up for another. Infinite where no stress dropped. Collective.
+        """
+        moved = after.motion.displacement.duplicate()
+        moved.setArray(after.motion.displacement.getArray(readonly=True) - self.displacement)
+        at_node = (
+            (frozen.getArray(readonly=True) * moved.getArray(readonly=True)).reshape(-1, ops.joints.dim).sum(axis=1)
+        )
+        drop = ((self.traction - after.sections.traction) * ops.joints.strain(moved)).sum(axis=1)
+        moved.destroy()
+        sums = ops.layout.comm.allreduce(np.array([np.abs(at_node).sum(), ops.joints.weights @ drop]))
+        return float(sums[0] / sums[1]) if sums[1] > 0.0 else np.inf
+
+
+def frozen_since(ops: Operators, prestress: PETSc.Vec) -> PETSc.Vec:
+    """Forces on walls that are frozen now, and were not with an earlier ``prestress`` of that rock. New vector. Collective."""
+    more = prestress.copy()
+    more.axpy(-1.0, ops.prestress)
+    return more
 
 
 def _at_walls(old: Model, new: Model, vector: PETSc.Vec) -> PETSc.Vec:
@@ -162,7 +201,7 @@ class _Rock:
         destroy(self.walls, self.stiff, self.solver)
 
 
-def _as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
+def as_traction(ops: Operators, force: PETSc.Vec) -> tuple[float, float]:
     """Root of the mean square, and the largest, of the traction (4.4b) that forces on walls stand for. Collective."""
     size = _length_of_walls(ops)
     on = size.getArray()

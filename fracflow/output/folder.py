@@ -8,7 +8,7 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TextIO
@@ -229,15 +229,17 @@ class RunFolder:
         path = self.path / "log.txt"
         return path.stat().st_size if path.exists() else 0
 
-    def cut_back(self, steps: int, log_bytes: int, every: int) -> None:
-        """Remove fields and lines of the log after so many steps and bytes.
+    def cut_back(self, steps: int, log_bytes: int, every: int, kept: Collection[int] = ()) -> None:
+        """Remove fields and lines of the log after so many steps and bytes; those of the steps ``kept`` stay.
 
         ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone. Another file was
         left where an earlier run ended.
         """
         for file in (self.path / "fields").glob("*.h5"):
             number = step_of(file)
-            if number is not None and (number >= steps or (number % every if every else number)):
+            if number is not None and (
+                number >= steps or (number not in kept and (number % every if every else number))
+            ):
                 file.unlink()
         if self.log_bytes() > log_bytes:
             number = open_own(self.path / "log.txt", os.O_WRONLY)

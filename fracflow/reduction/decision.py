@@ -14,6 +14,11 @@ from fracflow.solve.rock_cost import RockChoice
 TOLERANCE = 1e-2  # where a scene states none
 
 
+def tolerance_of(scene: Scene) -> float:
+    """``accuracy.tolerance`` of a scene, or that of all that state none."""
+    return TOLERANCE if scene.accuracy.tolerance is None else scene.accuracy.tolerance
+
+
 @dataclass(frozen=True)
 class Decision:
     """Something left out, or kept: the criterion, the value found, and the limit that it is to stay below.
@@ -116,8 +121,7 @@ class ReductionInput:
     @property
     def tolerance(self) -> float:
         """The error that what is left out may cause, relative to the largest value."""
-        stated = self.scene.accuracy.tolerance
-        return TOLERANCE if stated is None else stated
+        return tolerance_of(self.scene)
 
     @property
     def leaves_out(self) -> bool:

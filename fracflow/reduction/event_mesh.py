@@ -28,6 +28,7 @@ from fracflow.scene.terms import Absorbing
 from fracflow.scene.units import LENGTH
 
 MARGIN = 2.0  # of the larger extent of all fractures: rock between them and the sides
+ORDER = 0.6  # of frozen stress over stress drop, in joints: scripts/bench event_mesh --joints
 PER_EXTENT = 8.0  # cells far away, over that extent: ten in a wave of the corner frequency of slip along all of it
 
 
@@ -119,6 +120,22 @@ def nearness(extent: float, margin: float) -> float:
     Without inertia held sides take 0.3 to 0.5 times that of the slip of one crack. Of its opening they take 0.8 to 1.3 times.
     """
     return (0.5 * extent / max(margin, 0.5 * extent)) ** 2
+
+
+def too_much_frozen(scene: Scene, share: float, limit: float) -> str:
+    """A warning that an event has left frozen tractions of more than the ``limit`` of its stress drop, with the remedy."""
+    assert scene.geometry is not None
+    size, unit = scene.geometry.size_at_fractures or scene.geometry.size, scene.unit_system.behind(LENGTH)
+    finer = "smaller joints"
+    if size is not None:
+        size /= 2**scene.refine
+        enough = size * (limit / share) ** (1.0 / ORDER)
+        finer = f"joints of {enough:.2g}{unit} would leave about that, these have {size:.3g}{unit}"
+    first = 'method.tips = "corrected" and ' if scene.method.tips == "plain" else ""
+    return (
+        f"the stress that this event leaves frozen is {share:.2g} of its stress drop, weighted by slip, and the tolerance is"
+        f" {limit:g}: cells at the ends of its slip are too stiff: {first}{finer}; waves that are left count too (at_rest)"
+    )
 
 
 def mesh_of_events(when: str, why: str, cells: int, nodes: int, times: int = 1) -> Decision:

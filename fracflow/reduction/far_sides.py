@@ -19,7 +19,7 @@ from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
-from fracflow.reduction.decision import TOLERANCE, Decision, ReductionInput
+from fracflow.reduction.decision import Decision, ReductionInput, tolerance_of
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
 from fracflow.remarks import note
 from fracflow.scene.quantities import probed
@@ -51,7 +51,7 @@ def one_obstacle(scene: Scene) -> list[str]:
     if (
         len(found) != 1
         or any(stage.kind == "dynamic" for stage in scene.stage)
-        or estimated(scene) >= _tolerance(scene)
+        or estimated(scene) >= tolerance_of(scene)
         or meshed < max(LEAST, CLEARLY * without)
     ):
         return []
@@ -160,14 +160,10 @@ def assessed(scene: Scene) -> FarSides | None:
     if why := why_meshed(scene):
         return FarSides(why=why)
     error, (meshed, without) = estimated(scene), _cpu(scene)
-    why = "" if error < _tolerance(scene) else "the sides are too near"
+    why = "" if error < tolerance_of(scene) else "the sides are too near"
     if not why and (meshed < LEAST or meshed < CLEARLY * without):
         why = f"an iteration takes some {meshed:.1g} CPU s with a mesh, and {without:.1g} s without"
     return FarSides(error, meshed / max(without, 1e-3), why)
-
-
-def _tolerance(scene: Scene) -> float:
-    return TOLERANCE if scene.accuracy.tolerance is None else scene.accuracy.tolerance
 
 
 def without_sides(scene: Scene) -> Scene:
@@ -208,7 +204,7 @@ def watch_sides(model: Model, state: State) -> None:
     """Raise ReductionInvalid, on every rank, where sides that were left out would change jumps by the tolerance. Collective."""
     if model.bounded is None or model.of_event:
         return
-    error, tolerance = error_of_sides(model, state), _tolerance(model.bounded)
+    error, tolerance = error_of_sides(model, state), tolerance_of(model.bounded)
     if error > tolerance:
         raise ReductionInvalid(
             PART, state.time, f"sides would change results by up to {error:.2g}, above {tolerance:g}"

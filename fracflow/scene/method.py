@@ -102,7 +102,8 @@ class Method(StepperKeys):
     """energy of meshed rock at ends of fractures inside it, in the plane. Plain: as the cells have it; openings and slips are
     too small by about 0.4 joint over half length. Corrected: less what cells have too much of a crack's end, counted as tips in
     the energy balance; about a tenth of it is left where fractures open or slide, more where joints hold the walls. Cells that
-    grow away from fractures leave their own. Ends beside other fractures or sides stay plain, and the log counts them"""
+    grow away from fractures leave their own. Ends beside other fractures or sides stay plain, and the log counts them. The
+    default in an unbounded domain, whose events are meshed, is corrected"""
     contact: Literal["redistributed", "lumped"] = "redistributed"
     """inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside the
     rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which
@@ -270,12 +271,15 @@ class Mesh(Table):
 
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:
-    """Fill the keys of [method] that a scene leaves open from its model, its stepper, its fluid and its accuracy."""
+    """Fill the keys of [method] that a scene leaves open from its model, domain, stepper, fluid and accuracy."""
     preset, method = Method.PRESETS.get(str(data.get("model", "default")), {}), data.get("method", {})
     if not isinstance(method, dict):
         return data
     if "fluid" in data or method.get("stepper") == "explicit":  # both take velocities of walls from their mass
         preset = {**preset, "contact": "lumped"}
+    geometry = data.get("geometry", {})
+    if isinstance(geometry, dict) and geometry.get("domain") == "unbounded" and "version" not in data:
+        preset = {**preset, "tips": "corrected"}  # as those of rock without a mesh are; runs of earlier versions go on
     accuracy = data.get("accuracy", {})
     if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
         preset = {**preset, "flow_integrator": "bdf2"}  # overshoots less than errors may be

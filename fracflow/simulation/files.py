@@ -107,7 +107,8 @@ class Files:
             self.write_plan(self.decisions)
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
-            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
+            totals, every = notes["totals"], model.scene.output.fields_every
+            self.folder.cut_back(totals["steps"], notes["log_bytes"], every, totals.get("event_fields", ()))
             if model.scene.is_unbounded or model.of_event:  # a kill before the next checkpoint left fields in exchange
                 undo_exchange(self.folder.path, "rock", *_aside(not model.of_event))
         is_made = notes is not None and bool(notes["seals"].get("event_mesh"))

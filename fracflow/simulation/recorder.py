@@ -148,6 +148,14 @@ class Recorder:
             self._fields(sampling.StateSampler(self.sampler, step.state), index, whole)
         self._write(lambda files: files.drop_extra(index if is_extra else None))
 
+    @timed("FracOutput", "Output")
+    def keep_fields(self, step: Step) -> None:
+        """Write the fields of the last state on record, which stay, as an event leaves its mesh. Collective."""
+        index = self.totals.steps - 1
+        if not self._wants_fields(index):
+            self.totals.event_fields.append(index)
+            self._fields(sampling.StateSampler(self.sampler, step.state), index)
+
     def _profile(self, sample: sampling.StateSampler, kind: int) -> None:
         """Write the profiles of a state where they are due. Collective."""
         time = sample.state.time

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fracflow._petsc import timed
+from fracflow._petsc import PETSc, timed
 from fracflow.advance.step import Step
 from fracflow.errors import OtherRock
 from fracflow.mesh.data import SplitMesh
+from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.store import load_mesh
+from fracflow.model.operators import Operators
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
+from fracflow.reduction.decision import tolerance_of
 from fracflow.remarks import marked, note
 from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.recorder import Recorder
+
+if TYPE_CHECKING:
+    from fracflow.advance.event_rock import Handed, Unslipped
 
 
 class Rocks:
@@ -34,6 +41,10 @@ class Rocks:
         event_seal  of that mesh, where an earlier event has left it in the run folder
         """
         self._unmeshed, self._meshed, self._event_seal = first, meshed, event_seal
+        self._left: dict[
+            bool, PETSc.Vec
+        ] = {}  # is meshed -> forces of the initial stress, as the run last left that rock
+        self._unslipped: Unslipped | None = None
         self.now = first
         if event_seal:
             assert meshed is not None or not is_meshed
@@ -42,12 +53,14 @@ class Rocks:
     @timed("FracSetUp", "Set up")
     def change(self, recorder: Recorder, step: Step, needed: OtherRock) -> Step:
         """The first state in the other rock, which is ``now`` from then on. Raises InputError, SolveError. Collective."""
-        from fracflow.advance.event_rock import handed_over  # few runs need them
+        from fracflow.advance.event_rock import Unslipped, handed_over  # few runs need them
         from fracflow.advance.regime import after_change_of_rock
 
         old, state, scene = self.now, step.state, self._unmeshed.scene
-        recorder.save(step)  # Gmsh may fail
         is_event, is_made = old.scene.is_unbounded, self._meshed is not None
+        if not is_event:
+            recorder.keep_fields(step)
+        recorder.save(step)  # Gmsh may fail
         what = (
             f"an event needs inertia: {needed.why}: the rock is meshed"
             if is_event
@@ -57,26 +70,62 @@ class Rocks:
         new = _own_prestress(self._with_mesh(recorder) if is_event else self._unmeshed)
         found = handed_over(old, new, state)
         event = after_change_of_rock(needed.progress, new, found.state, scene.stage[step.stage])
+        lines = self._differences(new, found, is_event)
+        self._unslipped = Unslipped.of(state) if is_event else None
+        self._leave(old.operators, not is_event)
         state.destroy()
-        if old.operators.prestress is not self._unmeshed.operators.prestress:
-            old.operators.prestress.destroy()
         self.now = new
         recorder.hand_over(new, found.state.time, needed.why)
-        sizes, units = new.operators.blocks.sizes, scene.unit_names
-        mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))
-        stored = found.state.energy["rock_strain"]
-        share = abs(found.energy / stored) if stored else 0.0
-        rock = f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes" if is_event else "rock without a mesh"
-        recorder.log(
-            note(
-                f"{rock}; at the same jumps its stress on the fractures differs by {mean} in the mean, {most} at the most,"
-                f" which is frozen; its strain energy by {shown(ENERGY, found.energy, units, 3)}, {share:.2g} of it:"
-                " energy/change_of_rock"
+        for line in lines:
+            recorder.log(marked(line))
+        inside = [name for name, place in new.placed.probes.items() if isinstance(place, RockPlace)]
+        if inside:
+            sides = (
+                "displacements are those within the box of its mesh" if is_event else "the rock has no sides any more"
             )
-        )
+            recorder.log(note(f"values of probes in the rock jump here ({', '.join(inside)}): {sides}"))
         for line in () if is_made else new.placed.notes:
             recorder.log(marked(line))
         return replace(step, state=found.state, progress=event.as_progress())
+
+    def _leave(self, ops: Operators, is_meshed: bool) -> None:
+        """Keep the forces of the initial stress, with what is frozen, of the rock that is left. Collective."""
+        if is_meshed in self._left:
+            self._left.pop(is_meshed).destroy()
+        self._left[is_meshed] = ops.prestress.copy()
+        if ops.prestress is not self._unmeshed.operators.prestress:
+            ops.prestress.destroy()
+
+    def _differences(self, new: Model, found: Handed, is_event: bool) -> list[str]:
+        """Lines on the stress that is frozen in a new rock, which its first state has, and the strain energy. Collective."""
+        from fracflow.advance.event_rock import as_traction, frozen_since
+        from fracflow.reduction.event_mesh import too_much_frozen
+
+        ops, scene, sizes = new.operators, new.scene, new.operators.blocks.sizes
+        units, stored = scene.unit_names, found.state.energy["rock_strain"]
+        rock = f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes" if is_event else "rock without a mesh"
+        known, first = self._left.get(is_event), self._meshed if is_event and self._meshed else self._unmeshed
+        frozen = frozen_since(ops, known or first.operators.prestress)
+        most, in_all = (
+            f"{shown(STRESS, mean, units, 3)} in the mean, {shown(STRESS, most, units, 3)} at the most"
+            for mean, most in (as_traction(ops, frozen), (found.mean, found.most))
+        )
+        so_far = "" if in_all == most else f"; with what was frozen before {in_all}"
+        energy, share = shown(ENERGY, found.energy, units, 3), abs(found.energy / stored) if stored else 0.0
+        lines = [
+            note(
+                f"{rock}; at the same jumps its stress on the fractures differs by {most},"
+                f" which is frozen{so_far}; its strain energy by {energy}, {share:.2g} of it: energy/change_of_rock"
+            )
+        ]
+        if not is_event and self._unslipped is None:
+            lines.append(note("the run was resumed amid this event: that stress is not compared with its stress drop"))
+        elif self._unslipped is not None:
+            part, limit = self._unslipped.share(ops, found.state, frozen), tolerance_of(scene)
+            if part > limit:
+                lines.append(too_much_frozen(scene, part, limit))
+        frozen.destroy()
+        return lines
 
     def _with_mesh(self, recorder: Recorder) -> Model:
         """The model on the mesh of events, which the first one makes. Raises InputError. Collective."""

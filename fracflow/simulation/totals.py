@@ -32,6 +32,7 @@ class Totals:
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     meshed    the mesh that an event in rock without one was given: "when" and "why" in words, "cells" and "nodes".
               So many "times" events have needed it
+    event_fields  records whose fields are kept, besides those asked for: the last ones on the mesh of events
     """
 
     steps: int = 0
@@ -58,6 +59,7 @@ class Totals:
     at_limit: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
     meshed: dict[str, Any] = field(default_factory=dict)
+    event_fields: list[int] = field(default_factory=list)
     profiles: dict[str, Any] = field(default_factory=dict)
 
     @classmethod

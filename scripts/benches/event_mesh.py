@@ -1,13 +1,15 @@
-"""Events in rock that is meshed once they need it, against a mesh from the start: event_mesh.py [MARGIN...].
+"""Events in rock that is meshed once they need it, against a mesh from the start: event_mesh.py [MARGIN...] [--joints].
 
 Pressure lets a fault of 100 m go that weakens with slip. Both runs have absorbing sides, MARGIN metres away, and cells
 of 12.5 m there. Prints for each margin the differences of slip and moment, CPU seconds of both runs, and those that
 ``fracflow check`` foresees for the event. Exit code 1 where a difference is above 2 %. The defaults take 80 CPU s.
+With ``--joints``: what the log says of the stress that an event at once leaves frozen, by joints and tips; 30 CPU s.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import tempfile
 import time
 from collections.abc import Mapping
@@ -43,12 +45,26 @@ def scene(margin: float, is_meshed: bool) -> Scene:
             "initial_stress": {"xx": -20e6, "yy": -20e6, "zz": -20e6, "xy": 11e6},
             "fluid": {"viscosity": 1e-3, "initial_pressure": 0.0},
             "fracture": {"fault": FAULT},
-            "method": {"stepper": "generalised-alpha", "rho_infinity": 0.8, "events": "at-step-ends"},
+            "method": {"stepper": "generalised-alpha", "rho_infinity": 0.8, "events": "at-step-ends", "tips": "corrected"},
             "output": {"pictures": False, "event_length": 1.0},
             "stage": [{"kind": "auto", "time_step": 50.0, "end": 600.0, "dynamic_time_step": 1e-3, "at_rest": 0.1}],
             **(sides if is_meshed else {}),
         }
     )  # fmt: skip
+
+
+def frozen(size: float, tips: str, folder: Path) -> list[str]:
+    """Lines of the log on stress that an event of a strength that drops at once leaves frozen, with joints of a size."""
+    data = scene(200.0, False).model_dump(exclude_unset=True)
+    data["geometry"]["size_at_fractures"], data["geometry"]["size"] = size, 25.0
+    data["method"] |= {"tips": tips, "rho_infinity": 0.6}
+    laws = ("law", "dynamic_friction_coefficient", "slip_weakening_distance")
+    data["fracture"] = {"fault": {k: v for k, v in FAULT.items() if k not in laws} | {"stick_slip_ratio": 0.9}}
+    data["stage"] = [{"kind": "auto", "time_step": 10.0, "end": 421.0, "dynamic_time_step": 3e-3, "at_rest": 0.1}]
+    where = folder / f"{size:g}-{tips}"
+    run(Scene.from_data(data), where)
+    lines = (where / "log.txt").read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if "rock without a mesh; at" in line or "leaves frozen" in line]
 
 
 def event(margin: float, is_meshed: bool, folder: Path) -> tuple[Mapping[str, Any], float]:
@@ -69,9 +85,12 @@ def main() -> int:
     """Run all margins; 1 where a difference is too large."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("margin", type=float, nargs="*", default=[200.0, 400.0])
-    wrong = 0
+    parser.add_argument("--joints", action="store_true", help="what an event leaves frozen, by joints and tips")
+    given, wrong = parser.parse_args(), 0
     with tempfile.TemporaryDirectory() as folder:
-        for margin in parser.parse_args().margin:
+        for size, tips in itertools.product((10.0, 5.0, 2.5), ("plain", "corrected")) if given.joints else ():
+            print(f"joints of {size:g} m, {tips} tips:", *frozen(size, tips, Path(folder)), sep="\n", flush=True)
+        for margin in given.margin if not given.joints else ():
             (later, cpu), (meshed, cpu_meshed) = (event(margin, each, Path(folder)) for each in (False, True))
             off = {key: abs(later[key] / meshed[key] - 1.0) for key in ("slip", "moment")}
             wrong += max(off.values()) > MOST

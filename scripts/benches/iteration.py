@@ -46,7 +46,7 @@ OF_STEP = {
     "record": ["simulation.recorder:Recorder.record", "simulation.recorder:Recorder.save"],
 }
 """Part -> the functions it consists of, module:name."""
-EVENTS = {"factorisation": ("MatLUFactorSym", "MatLUFactorNum"), "solve": ("MatSolve",)}
+EVENTS = {"factorisation": ("MatLUFactorSym", "MatLUFactorNum", "MatLUFactor"), "solve": ("MatSolve",)}
 EVALUATIONS = "evaluations of an iteration"
 
 

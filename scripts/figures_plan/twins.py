@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,6 +142,19 @@ def twins(scene: Scene, *reduced: str, most: float = np.inf) -> Twins:
     own = Twins(exact, full, tolerance, gaps(exact, full, tolerance, is_auto, is_same_mesh=False))
     errors = gaps(exact, less, tolerance, is_auto)
     return found._replace(gaps=errors, coarse=own.ratio * tolerance)
+
+
+def refinements(scene: Scene) -> list[float]:
+    """Largest gaps between the run with all in it and that on cells half as long, and between that and the next.
+
+    Their ratio is 2 where errors are of order 1, as ``limit`` takes it.
+    """
+    full = full_of(scene)
+    levels = [once(each) for each in (full, refined(full), refined(refined(full)))]
+    return [
+        max(gap.error for gap in gaps(one, other, 0.0, is_auto=False, is_same_mesh=False).values())
+        for one, other in pairwise(levels)
+    ]
 
 
 def limit(own: Ran, fine: Ran) -> Ran:

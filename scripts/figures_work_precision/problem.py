@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 EXACT = 1e-12  # errors below are of round-off, and as good as each other
 CLOSE = 0.99  # errors nearer to each other are the same
 WORK = {
-    "factorisations": ("MatLUFactorNum", "MatCholFctrNum"),
+    "factorisations": ("MatLUFactorNum", "MatLUFactor", "MatCholFctrNum"),  # MatLUFactor in place, by LAPACK
     "solves": ("MatSolve", "MatMatSolve"),
     "products": ("MatMult", "MatMultAdd", "MatMultTranspose"),
 }

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from figures_verification.runs import solve
+from figures_work_precision.problem import counts
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.solve import linear
@@ -97,12 +98,16 @@ def test_without_a_pivot_nothing_is_finite():
 
 def test_a_run_agrees_with_mumps(monkeypatch):
     chosen = []
+    PETSc.Log.begin()
+    before = counts()["factorisations"]
     monkeypatch.setattr(linear, "factor_by_lapack", lambda *given: (chosen.append(1), factor_by_lapack(*given)))
     ours = solve(SCENE)
     assert chosen, "unmeshed rock without unknown pressures takes it"
     chosen.clear()
+    made, before = counts()["factorisations"] - before, counts()["factorisations"]
     by_mumps = solve(SCENE, 'petsc.whole-lu_pc_factor_mat_solver_type="mumps"')
     assert not chosen, "who names a factorisation has it"
+    assert made == counts()["factorisations"] - before == ours.history["step/factorisations"].sum() > 0
     for name in ("slip", "opening"):
         one, other = (run.fractures[-1].point[name] for run in (ours, by_mumps))
         assert one == pytest.approx(other, rel=1e-9, abs=1e-9 * np.abs(other).max()) and np.abs(other).max() > 0.0
