@@ -25,6 +25,7 @@ from fracflow.reduction.prepare import prepare, with_sizes
 from fracflow.remarks import has_mark
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.rocks import Rocks
 from fracflow.simulation.run import resume, run
 from fracflow.solve.request import StepRequest
 
@@ -249,7 +250,7 @@ def test_the_event_is_that_of_a_run_with_a_mesh_from_the_start(scene, shared_tmp
         assert later[key] == pytest.approx(meshed[key], rel=near), key
 
 
-def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
+def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp, monkeypatch):
     """Equal to the last bit on one rank; on others MUMPS sums in order of arrival. Both events have one mesh."""
     sooner = "fracture.fault.pressure=[[0, 0], [425, 1.7e6], [427, 4e6], [1000, 4e6]]"
     keys = [
@@ -271,7 +272,13 @@ def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
             stops.pop(0)
             raise Interrupted("by hand")
 
-    for go_on in (lambda: run(asked, folder, progress=stop_there), *[lambda: resume(folder, progress=stop_there)] * 2):
+    def is_killed(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as while_the_mesh_is_made, pytest.raises(KeyboardInterrupt):
+        while_the_mesh_is_made.setattr(Rocks, "_with_mesh", is_killed)
+        run(asked, folder)
+    for go_on in [lambda: resume(folder, progress=stop_there)] * 3:
         with pytest.raises(Interrupted):
             go_on()
     resume(folder)
@@ -280,6 +287,8 @@ def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
     for key in ("probe/middle/slip", "probe/middle/shear_traction", "energy/rock_strain", "energy/kinetic", "time"):
         near = 0.0 if is_alone else 1e-8 * np.abs(whole[key]).max()
         np.testing.assert_allclose(halves[key], whole[key], rtol=0.0, atol=near)
+    if is_alone:
+        assert halves["step/rejected"].sum() == whole["step/rejected"].sum() > 0
     for family in ("rock", "rock_before", "rock_of_events", "fractures"):
         numbers = [[number for number, _ in list_steps(each, family)] for each in (folder, shared_tmp / "whole")]
         assert numbers[0] == numbers[1]
