@@ -12,6 +12,7 @@ from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
+from fracflow.output.remarks import RESULT
 from fracflow.remarks import marked, note
 from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
@@ -61,7 +62,7 @@ class Rocks:
         if old.operators.prestress is not self._unmeshed.operators.prestress:
             old.operators.prestress.destroy()
         self.now = new
-        recorder.hand_over(new, found.state.time, needed.why)
+        recorder.hand_over(new, found.state.time, needed.why, found.most)
         sizes, units = new.operators.blocks.sizes, scene.unit_names
         mean, most = (shown(STRESS, value, units, 3) for value in (found.mean, found.most))
         stored = found.state.energy["rock_strain"]
@@ -70,7 +71,7 @@ class Rocks:
         recorder.log(
             note(
                 f"{rock}; at the same jumps its stress on the fractures differs by {mean} in the mean, {most} at the most,"
-                f" which is frozen; its strain energy by {shown(ENERGY, found.energy, units, 3)}, {share:.2g} of it:"
+                f" {RESULT}; its strain energy by {shown(ENERGY, found.energy, units, 3)}, {share:.2g} of it:"
                 " energy/change_of_rock"
             )
         )

@@ -19,6 +19,7 @@ from fracflow.mesh.data import is_unmeshed
 from fracflow.mesh.store import load_mesh
 from fracflow.model.balance import static_balance_of
 from fracflow.output import list_steps, read_events, read_history
+from fracflow.output.reader import load_run_data
 from fracflow.output.status import FAILED, read_status
 from fracflow.reduction.event_mesh import before_events, event_scene, with_event_mesh
 from fracflow.reduction.prepare import prepare, with_sizes
@@ -216,6 +217,10 @@ def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
     said = (shared_tmp / "run" / "log.txt").read_text()
     assert " ranks: rock without cells, 28 nodes, 14 joints" in said and f"meshed rock: {cells} cells, " in said
     assert made["value"].startswith(f"{cells} cells") and made["value"].endswith(f"made at time {when}")
+    assert (
+        float(made["error"].partition("at most ")[2].split()[0]) > 0.0
+        and load_run_data(shared_tmp / "run").is_meshed is False
+    )
     assert made["verdict"] == "added" and len(made["saves"]) > len("nothing: ")
     largest = max(np.abs(history[key]).max() for key in history if key.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() < 1e-10 * largest
