@@ -95,6 +95,16 @@ def test_without_a_pivot_nothing_is_finite():
     solver.destroy()
 
 
+def test_a_solver_that_broke_keeps_its_factors():
+    matrix = matrix_of(np.eye(6) + 0.1)
+    solver = solver_of(matrix)
+    solver.setOptionsPrefix("whole-lu_")
+    linear.renew(solver, matrix)
+    assert solver.getPC().getType() == "python"
+    assert isinstance(solver.getPC().getPythonContext(), FreeBlock)
+    solver.destroy()
+
+
 def test_a_run_agrees_with_mumps(monkeypatch):
     chosen = []
     monkeypatch.setattr(linear, "factor_by_lapack", lambda *given: (chosen.append(1), factor_by_lapack(*given)))
