@@ -125,6 +125,17 @@ def test_a_limit_warns_only_where_its_method_is_used(number, overrides, remedy):
     assert found.out_of_range and found.value > found.limit and remedy in found.remedy
 
 
+def test_no_line_asks_for_steps_that_another_refuses():
+    """Cycles need steps 900 times as long; from 70 times on pressures ring, but by backward Euler."""
+    short = ["method.coupling=fixed-point"]
+    cycles = card_of(REPORT_5_3, *short)["coupling, transient"]
+    assert "monolithic" in cycles.remedy and "ring" in cycles.remedy and "time_step above" not in cycles.remedy
+    free = card_of(REPORT_5_3, *short, "stage.failure.kind=quasi-static")["coupling, transient"]
+    assert "time_step above" in free.remedy
+    long = card_of(REPORT_5_3, *short, f"stage.failure.time_step={0.01 * cycles.value / cycles.limit}")
+    assert long["pressure ringing"].out_of_range
+
+
 @pytest.mark.parametrize("setting", ["method.on_divergence=monolithic", "method.fixed_point=anderson"])
 def test_what_takes_care_of_divergence_is_no_warning(setting):
     found = card_of(REPORT_5_3, "method.coupling=fixed-point", setting)["coupling, transient"]

@@ -74,7 +74,8 @@ def _of_pieces(at_ends: Floats) -> Floats:
 
 def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network:
     names = {part: plain(unit) for part, unit in scene.unit_names.items()}
-    points, cells = map_cells(mesh) if is_unmeshed(mesh.cells) else (mesh.points, mesh.cells)
+    is_meshed = not is_unmeshed(mesh.cells)
+    points, cells = (mesh.points, mesh.cells) if is_meshed else map_cells(mesh)
     rock = [points[cell[cell >= 0]] for cell in cells]
     sides = {}
     for kind, tables in (("support", scene.support), ("absorbing side", scene.absorbing)):
@@ -88,4 +89,5 @@ def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network
         names,
         marks,
         sides,
+        is_meshed=is_meshed,
     )

@@ -205,9 +205,11 @@ def _report_events(events: Sequence[Mapping[str, Any]], console: Console, units:
     largest = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
     for event in sorted(largest, key=lambda event: event["start"]):
         times = ["" if event[key] is None else shown(TIME, event[key], units, 8) for key in ("start", "end")]
-        size = "" if event["magnitude"] is None else f"{event['magnitude']:.2f}"
+        size = "–" if event["magnitude"] is None else f"{event['magnitude']:.2f}"
         slip = shown(LENGTH, event["slip"], units)
         table.add_row(*(escape(shown_plain(text)) for text in (event["fracture"], *times, slip, size)))
     console.print(table)
+    if all(event["magnitude"] is None for event in events):
+        console.print("magnitudes need output.event_length and a scene with units", soft_wrap=True)
     if len(events) > MOST_EVENTS:
         console.print(f"and {len(events) - MOST_EVENTS} more, of smaller slip, in events.csv", soft_wrap=True)

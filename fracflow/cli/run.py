@@ -117,7 +117,7 @@ def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: M
     if comm.rank == 0:
         for ending in ("csv", "json", "png"):
             console.print(f"convergence: {folder / f'converge.{ending}'}", soft_wrap=True)
-        tell(rows, console, count, order_in_time(scene), has_tips(folder))
+        tell(rows, console, count, order_in_time(scene), has_tips(folder), scene.method.tips == "corrected")
     comm.barrier()
 
 

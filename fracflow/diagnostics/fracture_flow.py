@@ -107,10 +107,13 @@ def transient(view: CheckInput) -> Number:
         remedy = "no pressure is prescribed there, so the fixed point (4.5) has none while the walls are held: give a [[well]]"
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
-    remedy = "the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
-    remedy += (
-        f' {view.scene.time_text(stage.time_step * value / limit, 2)} there, or set method.coupling = "monolithic"'
-    )
+    remedy, longer = "the fixed point (4.5) may diverge, and smaller steps make it worse: ", value / limit
+    rings, _, rung = _worst_ringing(view)
+    if rung is not None and rung.is_trapezoid and rings * longer > 1.0:
+        remedy += 'steps long enough for it would make pressures ring: set method.coupling = "monolithic"'
+    else:
+        needed = view.scene.time_text(stage.time_step * longer, 2)
+        remedy += f'take time_step above {needed} there, or set method.coupling = "monolithic"'
     return Number(name, formula, value, limit, True, where, remedy)
 
 
@@ -146,10 +149,28 @@ def _largest_pressure(view: CheckInput) -> float:
 
 def ringing(view: CheckInput) -> Number:
     """dt/(2 tau_d) of the shortest mode on the mesh, the first to ring."""
-    name, formula, joints = "pressure ringing", "dt/(2 tau_d)", view.joints
+    name, formula = "pressure ringing", "dt/(2 tau_d)"
+    value, where, stage = _worst_ringing(view)
+    if stage is None:
+        return Number(name, formula, note=HELD if view.flows and view.stages else "no fracture flow that moves")
+    where = f"{where}, {stage.name}"
+    if not stage.is_trapezoid:
+        return Number(name, formula, value, None, False, where, note="no trapezoid")
+    if value <= 1.0:
+        return Number(name, formula, value, 1.0, False, where)
+    remedy = (
+        f"pressures change sign from step to step: time_step below {view.scene.time_text(stage.time_step / value, 3)}"
+    )
+    remedy += f" in {stage.name}" + ("" if stage.alpha_0 else ', or method.flow_integrator = "backward-euler"')
+    return Number(name, formula, value, 1.0, True, where, remedy)
+
+
+def _worst_ringing(view: CheckInput) -> tuple[float, str, FlowStage | None]:
+    """dt/(2 tau_d) where it is largest, the fracture, and the stage; None where no fracture flow moves walls."""
+    joints = view.joints
     stages = [stage for stage in view.stages if stage.is_trapezoid] or view.stages
     if not view.flows or not stages or joints.is_held.all():
-        return Number(name, formula, note=HELD if view.flows and stages else "no fracture flow that moves")
+        return 0.0, "", None
     kappa = np.sqrt(STEEPEST[view.scene.method.storage]) / joints.length
 
     def worst(stage: FlowStage) -> tuple[float, str]:
@@ -161,17 +182,7 @@ def ringing(view: CheckInput) -> Number:
         return value or 0.0, where
 
     stage = max(stages, key=lambda each: worst(each)[0])
-    value, where = worst(stage)
-    where = f"{where}, {stage.name}"
-    if not stage.is_trapezoid:
-        return Number(name, formula, value, None, False, where, note="no trapezoid")
-    if value <= 1.0:
-        return Number(name, formula, value, 1.0, False, where)
-    remedy = (
-        f"pressures change sign from step to step: time_step below {view.scene.time_text(stage.time_step / value, 3)}"
-    )
-    remedy += f" in {stage.name}" + ("" if stage.alpha_0 else ', or method.flow_integrator = "backward-euler"')
-    return Number(name, formula, value, 1.0, True, where, remedy)
+    return *worst(stage), stage
 
 
 def fluid_inertia(view: CheckInput) -> Number:

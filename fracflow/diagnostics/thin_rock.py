@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -162,6 +163,7 @@ class _Facets:
     length   (f,) [length]
     heading  (f, 2) [1]
     by_owner (f,) facets in the order of their owners, each of which begins at its entry of ``starts``
+    trees    of the middles of an owner's facets, once they were asked for
     """
 
     nodes: Ints
@@ -171,6 +173,7 @@ class _Facets:
     heading: Floats
     by_owner: Ints
     starts: Ints
+    trees: dict[int, Any] = field(default_factory=dict)
 
     def of(self, owner: int) -> Ints:
         """Those of one owner."""
@@ -180,9 +183,11 @@ class _Facets:
         """Those of one owner whose middles face one of the other at a distance of at most so much [length]."""
         mine, theirs = self.of(own), self.of(other)
         middle, start = self.ends[mine].mean(axis=1), self.ends[theirs, 0]
-        from scipy.spatial import cKDTree  # imports much
+        if other not in self.trees:
+            from scipy.spatial import cKDTree  # imports much
 
-        nearest = cKDTree(self.ends[theirs].mean(axis=1)).query(middle)[1]
+            self.trees[other] = cKDTree(self.ends[theirs].mean(axis=1))
+        nearest = self.trees[other].query(middle)[1]
         step = middle - start[nearest]
         heading, length = self.heading[theirs[nearest]], self.length[theirs[nearest]]
         along = np.sum(step * heading, axis=1)

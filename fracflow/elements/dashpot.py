@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fracflow.elements.shape import gauss
+
 Floats = NDArray[np.float64]
 
 
@@ -106,11 +108,11 @@ def energy_over_directions(poissons_ratio: float, kind: str, share: DashpotShare
     ones stay: with less, 1/7 of the amplitude of an S wave along the normal comes back, which otherwise leaves without a rest.
     """
     critical = _critical(poissons_ratio, kind)
-    at, weight = np.polynomial.legendre.leggauss(POINTS)  # type: ignore[no-untyped-call]
+    at, weight = gauss(POINTS)
     back = 0.0
     for low, high in ((0.0, critical), (critical, 90.0)):
-        angles = low + 0.5 * (high - low) * (1.0 + at)
-        weights = np.radians(0.5 * (high - low)) * weight * np.cos(np.radians(angles))  # power on a unit of the side
+        angles = low + (high - low) * at
+        weights = np.radians(high - low) * weight * np.cos(np.radians(angles))  # power on a unit of the side
         back += sum(
             w * energy_returned(poissons_ratio, float(a), kind, share) for a, w in zip(angles, weights, strict=True)
         )

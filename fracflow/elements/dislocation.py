@@ -16,13 +16,12 @@ node is the mean of the stress over both its joints, and so is a jump that is li
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow.elements.shape import Floats, Ints
+from fracflow.elements.shape import Floats, Ints, gauss
 
 Bools = NDArray[np.bool_]
 
@@ -113,7 +112,7 @@ def pair_means(ends: Floats, one: Ints, other: Ints, own: Floats | None = None) 
 
 def _far(one: Floats, other: Floats, count: int) -> Floats:
     """Means (m, 3) over pairs of segments (m, 2, 2) by Gauss points on both."""
-    place, weight = _gauss(count)
+    place, weight = gauss(count)
     here, there = (each[:, 0, None] + place[:, None] * (each[:, 1] - each[:, 0])[:, None] for each in (one, other))
     total = np.zeros((len(one), 3))
     for i in range(count):
@@ -137,7 +136,7 @@ def _near(one: Floats, other: Floats) -> Floats:
     for least, count in NEAR:
         now = np.flatnonzero(left & (apart > least))
         left[now] = False
-        place, weight = _gauss(count)
+        place, weight = gauss(count)
         for each in now[:, None] if count > 100 else [now]:
             start, step = short[each, 0], short[each, 1] - short[each, 0]
             points = start[:, None] + place[:, None] * step[:, None]
@@ -190,13 +189,6 @@ def _kernel(arm: Floats, log: Floats | None = None) -> Floats:
     log = 0.5 * np.log(square) if log is None else log
     xx = x * x / square
     return np.stack([log - xx, log - 1.0 + xx, -x * y / square], axis=1)
-
-
-@cache
-def _gauss(count: int) -> tuple[Floats, Floats]:
-    """Places from 0 to 1, and weights (count,)."""
-    place, weight = np.polynomial.legendre.leggauss(count)  # type: ignore[no-untyped-call]
-    return 0.5 * (1.0 + place), 0.5 * weight
 
 
 def _distance(one: Floats, other: Floats) -> Floats:

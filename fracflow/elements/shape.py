@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,13 @@ from fracflow.errors import InputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+@cache
+def gauss(count: int) -> tuple[Floats, Floats]:
+    """Gauss and Legendre's rule of so many points: places from 0 to 1 (count,), and weights (count,), whose sum is 1."""
+    place, weight = np.polynomial.legendre.leggauss(count)  # type: ignore[no-untyped-call]
+    return 0.5 * (1.0 + place), 0.5 * weight
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow.elements.shape import Floats, Ints
+from fracflow.elements.shape import Floats, Ints, gauss
 from fracflow.elements.solid import stiffness
 
 REACH = 2.5  # joints from the tip to nodes whose cells are looked at
 BEYOND = 1.04  # excess by all cells over that by those; see ``at_tip``
 NEAREST = 1.0  # joints from the tip to other walls and sides: none is taken off; all of it from REACH on
 MOST_LAME = 7.0 / 3.0  # lambda/G of nu = .35; see ``at_tip``
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(10)  # type: ignore[no-untyped-call]
-PLACES, SHARES = 0.5 * (1.0 + POINTS), 0.5 * WEIGHTS  # along an edge
+PLACES, SHARES = gauss(10)  # along an edge
 ON_LINE = 1e-9  # of a distance behind the tip: a node so near to the line of the walls is on it
 
 

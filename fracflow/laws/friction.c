@@ -33,6 +33,7 @@ static double used(double size, double strength) {
 }
 
 /* ``Trial.response`` of sections (n,): their laws (n, LAW), strains (n, 2), and their histories; the path of slip may be NULL.
+   Products with 0 are made as the laws make them: where a traction overflows they have no number, and the trial is refused.
    In ``found`` follow tractions, tangents, inelastic strains, stored energies, strengths, utilisations, margins, plastic slips,
    directions of sliding and paths; in ``statuses`` whether they slide, and whether they are open. */
 void fracflow_friction(int32_t n, int32_t is_held, int32_t is_coupled, const double *laws, const double *strains,
@@ -47,14 +48,14 @@ void fracflow_friction(int32_t n, int32_t is_held, int32_t is_coupled, const dou
     rub(law, &before, strain, is_held, &at);
     const double held = at.slides ? at.carried : 0.0, divisor = at.size > 0.0 ? at.size : 1.0;
     const double f_s = at.slides ? held * at.way : at.is_free ? 0.0 : at.shear;
-    const double outer = at.slides ? at.way * at.way : 0.0, ratio = (at.slides ? held / divisor : at.is_free ? 0.0 : 1.0) * k_s;
-    const int turns = is_coupled && at.slides && at.f_n < 0.0 && !at.is_crushed;
+    const double outer = at.slides * at.way * at.way, ratio = (at.slides ? held / divisor : at.is_free ? 0.0 : 1.0) * k_s;
+    const double slope = at.slides && at.f_n < 0.0 && !at.is_crushed ? at.by_normal : 0.0;
     traction[2 * i] = f_s, traction[2 * i + 1] = at.f_n;
     tangent[4 * i] = ratio * (1.0 - outer) + at.by_size * k_s * outer;
-    tangent[4 * i + 1] = turns ? at.by_normal * at.k_n * at.way : 0.0;
+    tangent[4 * i + 1] = is_coupled ? slope * (at.is_crushed ? 0.0 : at.k_n) * at.way : 0.0;
     tangent[4 * i + 2] = 0.0, tangent[4 * i + 3] = at.k_n;
     new_plastic[i] = at.is_crushed ? before.plastic : before.plastic + (at.shear - f_s) / k_s;
-    new_sliding[i] = at.is_crushed ? before.sliding : at.slides ? at.way : 0.0;
+    new_sliding[i] = at.is_crushed ? before.sliding : at.slides * at.way;
     inelastic[2 * i] = new_plastic[i], inelastic[2 * i + 1] = 0.0;
     stored[i] = (at.k_n == INFINITY ? INFINITY : energy_of(law, strain[1])) + (f_s * f_s - law[F_S] * law[F_S]) / (2.0 * k_s);
     const int slips = path && at.slides && !at.is_crushed && at.slip > 0.0;

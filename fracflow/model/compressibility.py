@@ -156,12 +156,12 @@ def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
         size = np.where(np.isfinite(conduction.pressure), conduction.pressure, np.inf).max(axis=1)
         pressed = (block.fractures[block.fracture[int(size.argmax())]], float(size.max()))
     name, pressure = max(comm.allgather(pressed), key=lambda found: found[1])
-    compressibility = 0.0 if network is None else network.compressibility
+    compressibility, unit = (0.0, "") if network is None else (network.compressibility, network.unit)
     if compressibility * pressure <= DENSEST:
         return "the joint laws gave no finite traction (a joint closed beyond its aperture)"
     return (
-        f"fluid in {name} would come under {pressure:.3g}, {compressibility * pressure:.3g}/compressibility, which must be at"
-        f" most {DENSEST:g}: give it a way out, such as a wider minimum_hydraulic_aperture, or pump and close it less"
+        f"fluid in {name} would come under {pressure:.3g}{unit}, {compressibility * pressure:.3g}/compressibility, which must"
+        f" be at most {DENSEST:g}: give it a way out, such as a wider minimum_hydraulic_aperture, or pump and close it less"
     )
 
 

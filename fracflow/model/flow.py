@@ -21,6 +21,7 @@ from fracflow.model.layout import add_blocks, add_transposed, create_matrix, cre
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, Term, TermStep
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import STRESS
 
 BOTH_WAYS = np.array([1.0, -1.0])  # out of the first end of an element, into the second
 STORAGE = {
@@ -118,6 +119,7 @@ class Flow:
                 slip only
     counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
     terms       by which fluid leaves
+    unit        what messages write behind a pressure
     """
 
     opening: PETSc.Mat
@@ -137,6 +139,7 @@ class Flow:
     counted: float = 0.0
     terms: tuple[Term, ...] = ()
     slipping: PETSc.Mat | None = None
+    unit: str = ""
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
         """(3.1b) d = d0 + opening at the joint ends (j, k) [length]; ``opening`` if it is known better. Collective."""
@@ -309,6 +312,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         scene.fluid.compressibility,
         scene.fluid.initial_pressure,
         slipping=slipping,
+        unit=scene.unit_system.behind(STRESS),
     )
 
 

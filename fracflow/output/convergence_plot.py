@@ -19,10 +19,13 @@ MOST_ROWS = 40
 MOST_LINES = 7
 
 
-def tell(rows: Sequence[Row], console: Console, levels: int, order: int, has_tips: bool = False) -> None:
+def tell(
+    rows: Sequence[Row], console: Console, levels: int, order: int, has_tips: bool = False, corrected: bool = False
+) -> None:
     """Print the rows as a table, with assumed and low orders, and unreliable rows.
 
-    order  that of the method; ``has_tips`` where fractures end in rock
+    order      that of the method; ``has_tips`` where fractures end in rock
+    corrected  whether cells are corrected there: the order is 2 where fractures open or slide, and 1 where joints hold them
     """
     observed = "observed" if levels > 2 else "assumed"
     title = f"Convergence over {levels} levels, orders as {observed}, errors of the last as estimated"
@@ -45,6 +48,10 @@ def tell(rows: Sequence[Row], console: Console, levels: int, order: int, has_tip
     if levels == 2:
         of_method = f"that of the method, {order}, and 1 of strains, stresses and flow rates"
         assumed = "1, that of fractures' tips in rock" if has_tips else of_method
+        if has_tips and corrected:
+            assumed += (
+                ' where joints hold the walls; by method.tips = "corrected" errors are less where these open or slide'
+            )
         console.print(f"two levels show no order: errors assume {assumed}", soft_wrap=True)
     if low := [row for row in rows if not row.warning and row.order < (order if has_tips else row.least) - LATITUDE]:
         why = "tips of fractures in rock" if has_tips else "a kink or a jump; one more level shows whether they stay"

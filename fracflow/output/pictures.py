@@ -144,8 +144,18 @@ def _network(run: RunData) -> Network:
     if run.limit is not None:
         marks["limit point"] = {"\0limit": run.limit[1]}
     if found is None:
-        return Network(run.rock or [], np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [], run.units, marks)
-    network = Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)
+        return Network(
+            run.rock or [],
+            np.zeros((0, 2, 2)),
+            np.zeros(0, dtype=np.int64),
+            [],
+            run.units,
+            marks,
+            is_meshed=run.is_meshed,
+        )
+    network = Network(
+        run.rock or [], found.segments, found.fracture, found.names, run.units, marks, is_meshed=run.is_meshed
+    )
     return network.near_fractures() if run.rock and run.was_unmeshed else network
 
 

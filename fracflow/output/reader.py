@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomllib
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
@@ -125,6 +126,7 @@ class RunData:
 
     energy_noise  round-off of the entries of the energy balance [energy per thickness]
     limit         the last limit point of the log, in words and its place [length]; None where there is none
+    is_meshed     whether the rock has a mesh from the start, and not a map
     """
 
     title: str
@@ -140,6 +142,7 @@ class RunData:
     status: Status
     energy_noise: float = 0.0
     limit: tuple[str, tuple[float, float]] | None = None
+    is_meshed: bool = True
 
     @property
     def is_behind(self) -> bool:
@@ -262,7 +265,17 @@ def load_run_data(folder: str | Path) -> RunData:
         status=read_status(folder),
         energy_noise=_number(attrs.get("energy_noise")) * len(history["time"]),
         limit=last_limit(_log(folder)),
+        is_meshed=_is_meshed(folder),
     )
+
+
+def _is_meshed(folder: Path) -> bool:
+    """Whether the rock of a run has a mesh from the start, by its scene."""
+    try:
+        geometry = tomllib.loads(read_text(folder / "scene.toml", "look at the file")).get("geometry", {})
+    except (InputError, tomllib.TOMLDecodeError, RecursionError):
+        return True
+    return not isinstance(geometry, dict) or geometry.get("domain") != "unbounded"
 
 
 def _log(folder: Path) -> list[str]:

@@ -8,6 +8,8 @@ from math import isfinite
 from typing import Any
 
 MESH_OF_EVENTS = "mesh of events"  # the part of a plan that a run adds once an event has meshed its rock
+RESULT = "which is frozen"  # in a line that states how much a change of rock leaves frozen
+MOST_RESULTS = 6
 _COORDINATE = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 _LIMIT = re.compile(
     r"limit point: (?:.* is near: )?"
@@ -17,10 +19,16 @@ _DIFFERS = re.compile(r"^(probe|well)\.\S+|^absorbing [^:]+|\bof \S+ is\b|[-+.\d
 
 
 def alike(lines: Iterable[str]) -> list[str]:
-    """The first of the lines that differ by their numbers and names alone, with how many more there are."""
+    """The first of the lines that differ by their numbers and names alone, with how many more there are.
+
+    Lines whose numbers are results stand each for itself, the first MOST_RESULTS of them.
+    """
     found: dict[str, list[str]] = {}
+    results = 0
     for line in lines:
-        found.setdefault(_DIFFERS.sub("#", line)[:120], []).append(line)
+        is_result = RESULT in line and results < MOST_RESULTS and line not in found
+        results += is_result
+        found.setdefault(line if is_result or line in found else _DIFFERS.sub("#", line)[:120], []).append(line)
     return [group[0] + (f" (and {len(group) - 1} more like it)" if len(group) > 1 else "") for group in found.values()]
 
 

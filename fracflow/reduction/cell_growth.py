@@ -56,9 +56,9 @@ def weakens(scene: Scene) -> bool:
 
 def has_tip(geometry: Geometry, domain: Floats) -> NDArray[np.bool_]:
     """Whether each trace ends inside the domain (k, 2): it would go on there if it were a little longer."""
-    found = []
-    for trace in geometry.fracture:
-        points = np.array(trace.points, dtype=float)
-        ahead = [points[0] + BEYOND * (points[0] - points[1]), points[-1] + BEYOND * (points[-1] - points[-2])]
-        found.append(bool(is_within(np.array(ahead), domain).any()))
-    return np.array(found, dtype=bool)
+    last = [
+        (trace.points[at], trace.points[before]) for trace in geometry.fracture for at, before in ((0, 1), (-1, -2))
+    ]
+    ends = np.array(last, dtype=float).reshape(-1, 2, 2)
+    ahead = ends[:, 0] + BEYOND * (ends[:, 0] - ends[:, 1])
+    return np.asarray(is_within(ahead, domain).reshape(-1, 2).any(axis=1))

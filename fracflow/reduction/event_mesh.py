@@ -138,12 +138,16 @@ def too_much_frozen(scene: Scene, share: float, limit: float) -> str:
     )
 
 
-def mesh_of_events(when: str, why: str, cells: int, nodes: int, times: int = 1) -> Decision:
-    """The record of a run whose rock was not meshed until an event needed it, so many ``times``."""
+def mesh_of_events(when: str, why: str, cells: int, nodes: int, times: int = 1, frozen: str = "") -> Decision:
+    """The record of a run whose rock was not meshed until an event needed it, so many ``times``.
+
+    frozen  the largest traction that a change of rock has left on the fractures, with its unit
+    """
+    error = f"frozen traction of at most {frozen} on the fractures" if frozen else "none"
     again = f", taken {times} times" if times > 1 else ""
     return Decision(
         MESH_OF_EVENTS, False, "an event that needs inertia", f"{cells} cells, {nodes} nodes{again}, made at time {when}",
-        "made at the first one", "none", f"nothing: {why}", added=True,
+        "made at the first one", error, f"nothing: {why}", added=True,
     )  # fmt: skip
 
 

@@ -388,7 +388,7 @@ def plan_table(run: RunReport) -> str:
         heads = ("part", "criterion", "value", "limit", "saves" if is_out else "why", "may err by")
         cells = (
             (part_of(each), each.get("criterion", ""), short(each.get("value", "")), short(each.get("limit", "")), saved(each),
-             "" if each.get("verdict") in ("kept", "added") else each.get("error", ""))
+             "" if each.get("verdict") == "kept" or each.get("error") == "none" else each.get("error", ""))
             for each in parts
         )  # fmt: skip
         filled = [*zip(heads, zip(*cells, strict=True), strict=True)]

@@ -23,6 +23,7 @@ GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; w
 LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
 FAR = 10.0  # extents of a map in degrees that lie between it and (0, 0)
+SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock
 DECIMALS = 3  # that coordinates on a plane may have
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
@@ -385,7 +386,26 @@ def _transit(scene: Scene) -> float | None:
     return size / 2**geometry.refine * slowness
 
 
+def _slight(scene: Scene) -> Iterator[str]:
+    """An initial stress that is next to nothing beside rock and joints: MPa may have been written as Pa."""
+    stress = scene.initial_stress
+    stiff = max((rock.youngs_modulus or 0.0 for rock in scene.rock.values()), default=0.0) * scene.unit_system.to_si(
+        STRESS
+    )
+    if stress is None or any(stress.gradient.model_dump().values()) or stiff < USUAL["rock"]["youngs_modulus"][1]:
+        return
+    given = {axis: getattr(stress, axis) for axis in ("xx", "yy", "zz", "xy")}
+    axis = max(given, key=lambda each: abs(given[each]))
+    if 0.0 < abs(given[axis]) * scene.unit_system.to_si(STRESS) < SLIGHT:
+        unit = scene.unit_system.written(STRESS)
+        yield (
+            f"initial_stress.{axis} = {given[axis]:g} {unit} is the largest of it, next to nothing in rock: is its unit right?"
+            f' Numbers are in {unit}; give "{given[axis]:g} MPa" if that is meant'
+        )
+
+
 def _unusual(scene: Scene) -> Iterator[str]:
+    yield from _slight(scene)
     tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
     tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
     leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]

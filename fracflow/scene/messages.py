@@ -74,6 +74,10 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         return str(context["text"])
     if kind == "extra_forbidden" and len(path) == 3 and path[0] == "fracture" and path[2] in OF_TRACES:
         return f"unknown key; a trace stands in geometry, as {_as_trace(str(path[1]), error['input'])} there"
+    if kind == "extra_forbidden" and _is_table_of_traces(path, error["input"]):
+        return (
+            f"unknown key; a file of traces stands in geometry, as fractures_csv = {write_value(error['input'])} there"
+        )
     if kind == "extra_forbidden":
         return f"unknown key; {nearest(str(path[-1]), _model_at(model, path[:-1]).model_fields)}"
     if kind == "missing":
@@ -103,6 +107,17 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         tables = _model_at(model, path) is not BaseModel
         return f"must be an array of tables [[{'.'.join(map(str, path))}]]" if tables else "must be a list"
     return simple.get(kind, " ".join(error["msg"].split()).lower())
+
+
+def _is_table_of_traces(path: Path, given: object) -> bool:
+    """Whether a key that may mean traces, or one of geometry, names a file of them."""
+    may_be = path[-1] in OF_TRACES or path[0] == "geometry"
+    return (
+        may_be
+        and isinstance(given, str)
+        and given.lower().endswith((".csv", ".geojson"))
+        and len(given) <= MOST_LETTERS
+    )
 
 
 def _as_trace(name: str, points: object) -> str:

@@ -15,6 +15,7 @@ from fracflow.mesh.slabs import on_rank_0
 from fracflow.model.setup import Model, on_root
 from fracflow.output import sampling
 from fracflow.output.checkpoint import prestress_array, state_arrays
+from fracflow.output.drawing.axes import shown
 from fracflow.output.probes import fracture_fields
 from fracflow.output.profiles import Timetable, intervals
 from fracflow.output.rock import rock_slabs, shown_rock
@@ -22,6 +23,7 @@ from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, factorisations, mesh_of_events
 from fracflow.scene.quantities import REGIMES
+from fracflow.scene.units import STRESS
 from fracflow.simulation.files import Files, Notes
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
@@ -64,12 +66,16 @@ class Recorder:
                 pass
         return on_root(self.comm, work)
 
-    def hand_over(self, model: Model, time: float, why: str) -> None:
-        """Go on with the model of the other rock: on the mesh that an event asked for, or without one again. Collective."""
+    def hand_over(self, model: Model, time: float, why: str, frozen: float) -> None:
+        """Go on with the model of the other rock: on the mesh that an event asked for, or without one again. Collective.
+
+        frozen  the largest traction on the fractures that the change of rock leaves [stress]
+        """
         self.model, sizes, made = model, model.operators.blocks.sizes, self.totals.meshed
         if model.of_event:
             first = {"when": model.scene.time_text(time), "why": why, "cells": sizes.cells, "nodes": sizes.nodes}
-            self.totals.meshed = {**(made or first), "times": made.get("times", bool(made)) + 1}
+            most = max(frozen, made.get("frozen", 0.0))
+            self.totals.meshed = {**(made or first), "times": made.get("times", bool(made)) + 1, "frozen": most}
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
         self._notices = Notices(model, self.totals, self.log)
         with shown_rock(model.operators.blocks, model.mesh) as rock:
@@ -79,7 +85,9 @@ class Recorder:
 
     def _meshed(self) -> list[Decision]:
         """The record of the mesh that an event was given, if one was."""
-        return [mesh_of_events(**self.totals.meshed)] if self.totals.meshed else []
+        made = dict(self.totals.meshed)
+        frozen = shown(STRESS, made.pop("frozen", 0.0), self.model.scene.unit_names, 3)
+        return [mesh_of_events(**made, frozen=frozen)] if made else []
 
     def log(self, line: str) -> None:
         """A line for log.txt."""

@@ -15,6 +15,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
+from fracflow.output.remarks import RESULT
 from fracflow.reduction.decision import tolerance_of
 from fracflow.remarks import marked, note
 from fracflow.scene.units import ENERGY, STRESS
@@ -75,7 +76,7 @@ class Rocks:
         self._leave(old.operators, not is_event)
         state.destroy()
         self.now = new
-        recorder.hand_over(new, found.state.time, needed.why)
+        recorder.hand_over(new, found.state.time, needed.why, found.most)
         for line in lines:
             recorder.log(marked(line))
         inside = [name for name, place in new.placed.probes.items() if isinstance(place, RockPlace)]
@@ -115,7 +116,7 @@ class Rocks:
         lines = [
             note(
                 f"{rock}; at the same jumps its stress on the fractures differs by {most},"
-                f" which is frozen{so_far}; its strain energy by {energy}, {share:.2g} of it: energy/change_of_rock"
+                f" {RESULT}{so_far}; its strain energy by {energy}, {share:.2g} of it: energy/change_of_rock"
             )
         ]
         if not is_event and self._unslipped is None:

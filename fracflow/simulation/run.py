@@ -310,7 +310,8 @@ def _steps(
 ) -> tuple[Step, SolveError | Interrupted | DiskError | OtherRock | None]:
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective.
 
-    Where the run goes on in the other rock, the step returned takes no time and is not on record.
+    Where the run goes on in the other rock, the step returned takes no time and is not on record. Its progress is that of the
+    last one: a run that is killed meanwhile makes the rejected trials again, and counts them.
     """
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     observer.follow(stepping.work.trial)
@@ -367,7 +368,8 @@ def _steps(
             raise
         except OtherRock as needed:
             spent = StepReport(rejected=needed.trials, wasted=needed.newton)
-            return Step(state, number, 0.0, spent, needed.progress, "quasi-static"), needed
+            before = step.progress if step.stage == number else {"fresh": 1.0}
+            return Step(state, number, 0.0, spent, before, "quasi-static"), needed
         except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
             failure = error
             if isinstance(error, SolveError):

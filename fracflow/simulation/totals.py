@@ -31,7 +31,7 @@ class Totals:
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     meshed    the mesh that an event in rock without one was given: "when" and "why" in words, "cells" and "nodes".
-              So many "times" events have needed it
+              So many "times" events have needed it; "frozen" is the largest traction that a change to it has left
     event_fields  records whose fields are kept, besides those asked for: the last ones on the mesh of events
     """
 

@@ -201,10 +201,13 @@ def renew(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     new.setOptionsPrefix(solver.getOptionsPrefix())
     new.setOperators(*old.getOperators())
     new.setFromOptions()
-    if old.getType() == "python":
+    was_ours = old.getType() == "python"
+    if was_ours:
         old.setType("none")  # ends its context now: PETSc may keep the solver until Python has ended
     solver.setPC(new)
     set_up(solver, matrix)
+    if was_ours and new.getType() != "python":  # multigrid is set up above
+        factor_by_lapack(solver, matrix)
 
 
 def drop_factors(solver: PETSc.KSP) -> None:
@@ -288,7 +291,7 @@ class KeptFactors:
         """Make FGMRES of a solver that is LU alone. Collective."""
         self.solver, self.matrix, self.made = solver, matrix, 0
         self.factored = matrix.matrix.duplicate()
-        self._worth = solves_per_factor(matrix.layout.total, _is_swift(solver))
+        self._worth = solves_per_factor(matrix.layout.total, _is_by_umfpack(solver))
         self._most = max(int(self._worth), 2 * USUAL)
         self._fills = -1  # of the matrix, when it was factored
         self._unpivoted = Unpivoted(solver, matrix.layout.total)
@@ -410,7 +413,7 @@ def are_kept(scene: Scene, unknowns: int, swift: bool = False) -> bool:
     return scene.method.factors == "kept" and solves_per_factor(unknowns, swift) >= LEAST_WORTH
 
 
-def _is_swift(solver: PETSc.KSP) -> bool:
+def _is_by_umfpack(solver: PETSc.KSP) -> bool:
     return bool(solver.getPC().getFactorSolverType() == "umfpack")
 
 
@@ -419,7 +422,7 @@ def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors
     is_direct = solver.getType() == "preonly" and solver.getPC().getType() == "lu"
     if is_direct and matrix.whole is not matrix.matrix:
         return NearFactors(solver, matrix)
-    if is_direct and are_kept(scene, matrix.layout.total, _is_swift(solver)):
+    if is_direct and are_kept(scene, matrix.layout.total, _is_by_umfpack(solver)):
         return KeptFactors(solver, matrix)
     if is_direct and _suits_lapack(scene, solver, matrix):
         factor_by_lapack(solver, matrix)

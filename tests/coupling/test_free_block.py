@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import CROSSED
 from figures_verification.runs import solve
 from figures_work_precision.problem import counts
 
@@ -14,23 +15,7 @@ from fracflow.solve import linear
 from fracflow.solve.factors.free_block import FreeBlock, factor_by_lapack, is_full
 
 pytestmark = pytest.mark.serial
-SCENE = """
-output.pictures = false
-rock.rock = {youngs_modulus = 50e9, poissons_ratio = 0.25}
-initial_stress = {xx = -8e6, yy = -12e6, zz = -10e6, xy = 2e6}
-fluid = {viscosity = 1e-3, initial_pressure = 0}
-stage = [{kind = "steady", time_step = 0.25, steps = 4}]
-geometry = {domain = "unbounded", size_at_fractures = 0.2, fracture = [
-  {name = "a", points = [[-1, 0], [1, 0.2]]},
-  {name = "b", points = [[-0.6, -0.8], [0.5, 0.9]]},
-]}
-[fracture.default]
-normal_stiffness = 1e11
-shear_stiffness = 1e11
-aperture = 1e-3
-friction_coefficient = 0.5
-pressure = [[0, 0], [1, 11e6]]
-"""
+SCENE = "output.pictures = false" + CROSSED.replace("0.05, size_at_tips = 0.0125", "0.2")
 MESHED = 'method.rock_solver = "multigrid"\nsupport = [{on = ["south", "north", "east", "west"]}]\n'
 HELD = [1, 4, 5]
 ENDS = """
@@ -92,6 +77,16 @@ def test_without_a_pivot_nothing_is_finite():
     given.set(1.0)
     solver.solve(given, found)
     assert np.isinf(np.delete(found.getArray(), HELD)).all() and (found.getArray()[HELD] == 1.0).all()
+    assert isinstance(solver.getPC().getPythonContext(), FreeBlock)
+    solver.destroy()
+
+
+def test_a_solver_that_broke_keeps_its_factors():
+    matrix = matrix_of(np.eye(6) + 0.1)
+    solver = solver_of(matrix)
+    solver.setOptionsPrefix("whole-lu_")
+    linear.renew(solver, matrix)
+    assert solver.getPC().getType() == "python"
     assert isinstance(solver.getPC().getPythonContext(), FreeBlock)
     solver.destroy()
 

@@ -40,11 +40,14 @@ def law_of(kind, choices):
 @pytest.mark.parametrize("choices", CHOICES)
 @pytest.mark.parametrize("kind", [HyperbolicCoulomb, SlipWeakening])
 def test_response_has_the_bits_of_the_law(kind, choices):
-    """Sticking, sliding either way, turning back, past D_c, open, shut beyond the aperture, and no number."""
+    """Sticking, sliding either way, turning back, past D_c, open, shut beyond the aperture, overflow, and no number."""
     law, rng = law_of(kind, choices), np.random.default_rng(7)
     strain = rng.uniform(-1.0, 1.0, (SECTIONS, 2)) * [1.5, 1.2]
     strain[::500] = np.nan
     strain[1::500] = 0.0
+    strain[2::50] = rng.choice([1e160, -1e308, np.inf], (SECTIONS // 50, 2)) * rng.choice(
+        [0.0, 1.0], (SECTIONS // 50, 2)
+    )
     history = law.initial_history(SECTIONS, 2)
     history["plastic_slip"] = rng.choice([0.0, 0.4, -0.7], (SECTIONS, 1))
     history["sliding"] = rng.choice([-1.0, 0.0, 1.0], (SECTIONS, 1))
@@ -54,7 +57,7 @@ def test_response_has_the_bits_of_the_law(kind, choices):
     assert isinstance(copy, CompiledFriction)
     for hold in (True, False):
         step = LawStep(hold=hold)
-        with np.errstate(invalid="ignore"):  # held sliding without end of strength has no numbers
+        with np.errstate(invalid="ignore", over="ignore"):  # held sliding without end of strength has no numbers
             mine, theirs = copy.evaluate(strain, history, step), law.evaluate(strain, history, step)
         ways = theirs.is_sliding, ~theirs.is_sliding, theirs.is_open, np.isneginf(theirs.traction[:, 1])
         assert all(each.mean() > 0.02 for each in ways) or "cohesion" in choices

@@ -146,4 +146,5 @@ def test_what_is_told():
     assert "orders below the method's, 2: there slip: tips of fractures in rock" in lines
     assert "! not to be trusted: far slip: differences do not fall" in lines
     assert "errors assume 1, that of fractures' tips in rock" in told([row(0.1, least=1.0)], 2, 2, True)[-1]
+    assert "errors are less where these open or slide" in told([row(0.1, least=1.0)], 2, 2, True, True)[-1]
     assert "errors assume that of the method, 2" in told([row(0.1)], 2, 2)[-1]

@@ -172,8 +172,13 @@ def test_the_mesh_of_an_event_is_shown_near_the_fractures(tmp_path):
     near = replace(data.fractures, points=np.clip(data.fractures.points, 10.0, 90.0))
     unmeshed = {**data.history, "energy/change_of_rock": np.zeros(STEPS)}
     runs = [replace(data, rock=far, fractures=near, history=each, wells={}) for each in (data.history, unmeshed)]
+    assert data.is_meshed
+    runs[1] = replace(runs[1], is_meshed=False)
     with styled():
         shown = [_overview(run).axes[-2] for run in runs]
+    edges, faces = (axes.collections[0].get_edgecolor() for axes in shown)
+    assert not np.array_equal(edges[0], shown[0].collections[0].get_facecolor()[0]), "a mesh"
+    assert np.array_equal(faces[0], shown[1].collections[0].get_facecolor()[0]), "no mesh, no grid"
     whole, zoomed = (np.array([*axes.get_xlim(), *axes.get_ylim()]) for axes in shown)
     assert whole == pytest.approx([-530.0, 530.0, -530.0, 530.0])
     assert zoomed == pytest.approx([-10.0, 110.0, -10.0, 110.0])

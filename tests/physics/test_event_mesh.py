@@ -20,12 +20,14 @@ from fracflow.mesh.data import is_unmeshed
 from fracflow.mesh.store import load_mesh
 from fracflow.model.balance import static_balance_of
 from fracflow.output import list_steps, read_events, read_history
+from fracflow.output.reader import load_run_data
 from fracflow.output.status import FAILED, read_status
 from fracflow.reduction.event_mesh import before_events, event_scene, with_event_mesh
 from fracflow.reduction.prepare import prepare, with_sizes
 from fracflow.remarks import has_mark
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.rocks import Rocks
 from fracflow.simulation.run import resume, run
 from fracflow.solve.request import StepRequest
 
@@ -216,6 +218,10 @@ def test_jumps_and_tractions_and_energy_go_on(scene, shared_tmp):
     said = (shared_tmp / "run" / "log.txt").read_text()
     assert " ranks: rock without cells, 28 nodes, 14 joints" in said and f"meshed rock: {cells} cells, " in said
     assert made["value"].startswith(f"{cells} cells") and made["value"].endswith(f"made at time {when}")
+    assert (
+        float(made["error"].partition("at most ")[2].split()[0]) > 0.0
+        and load_run_data(shared_tmp / "run").is_meshed is False
+    )
     assert made["verdict"] == "added" and len(made["saves"]) > len("nothing: ")
     (left,) = re.findall(r"event leaves frozen is (\S+) of its stress drop", said)
     assert 0.05 < float(left) < 0.15  # nearly three times as much with plain tips
@@ -254,7 +260,7 @@ def test_the_event_is_that_of_a_run_with_a_mesh_from_the_start(scene, shared_tmp
         assert later[key] == pytest.approx(meshed[key], rel=near), key
 
 
-def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
+def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp, monkeypatch):
     """Equal to the last bit on one rank; on others MUMPS sums in order of arrival. Both events have one mesh."""
     sooner = "fracture.fault.pressure=[[0, 0], [425, 1.7e6], [427, 4e6], [1000, 4e6]]"
     keys = [
@@ -276,7 +282,13 @@ def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
             stops.pop(0)
             raise Interrupted("by hand")
 
-    for go_on in (lambda: run(asked, folder, progress=stop_there), *[lambda: resume(folder, progress=stop_there)] * 2):
+    def is_killed(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as while_the_mesh_is_made, pytest.raises(KeyboardInterrupt):
+        while_the_mesh_is_made.setattr(Rocks, "_with_mesh", is_killed)
+        run(asked, folder)
+    for go_on in [lambda: resume(folder, progress=stop_there)] * 3:
         with pytest.raises(Interrupted):
             go_on()
     resume(folder)
@@ -285,6 +297,8 @@ def test_a_run_that_stops_in_either_rock_goes_on(scene, shared_tmp):
     for key in ("probe/middle/slip", "probe/middle/shear_traction", "energy/rock_strain", "energy/kinetic", "time"):
         near = 0.0 if is_alone else 1e-8 * np.abs(whole[key]).max()
         np.testing.assert_allclose(halves[key], whole[key], rtol=0.0, atol=near)
+    if is_alone:
+        assert halves["step/rejected"].sum() == whole["step/rejected"].sum() > 0
     for family in ("rock", "rock_before", "rock_of_events", "fractures"):
         numbers = [[number for number, _ in list_steps(each, family)] for each in (folder, shared_tmp / "whole")]
         assert numbers[0] == numbers[1]

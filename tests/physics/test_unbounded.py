@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import CROSSED, ROCK
 from figures_verification.runs import solve
 
 from fracflow._petsc import MPI, PETSc
@@ -13,27 +14,6 @@ from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
 
-ROCK = """
-rock.rock = {youngs_modulus = 50e9, poissons_ratio = 0.25}
-"""
-CROSSED = (
-    ROCK
-    + """
-initial_stress = {xx = -8e6, yy = -12e6, zz = -10e6, xy = 2e6}
-fluid = {viscosity = 1e-3, initial_pressure = 0}
-stage = [{kind = "steady", time_step = 0.25, steps = 4}]
-geometry = {domain = "unbounded", size_at_fractures = 0.05, size_at_tips = 0.0125, fracture = [
-  {name = "a", points = [[-1, 0], [1, 0.2]]},
-  {name = "b", points = [[-0.6, -0.8], [0.5, 0.9]]},
-]}
-[fracture.default]
-normal_stiffness = 1e11
-shear_stiffness = 1e11
-aperture = 1e-3
-friction_coefficient = 0.5
-pressure = [[0, 0], [1, 11e6]]
-"""
-)
 # of slip and opening, each summed along both: triangles of 0.1, 0.05, 0.025 in a box of 80 have 217.83, 223.66, 226.03 um m
 # and 346.55, 349.15, 350.32; the limits
 MESHED = 227.7e-6, 351.2e-6

@@ -38,6 +38,8 @@ CASES = {
     "petsc.ksp_type=[1]": "petsc.ksp_type = [1]: must be a string, a number, or true or false",
     "geometry={domain=[0,0,1,1],size=1}": "contradicts [mesh]; give one of them",
     "fracture.fault.trace=[[20,20],[80,80]]": 'stands in geometry, as fracture = [{name = "fault", points = [[20, 20], [80, 80]]}]',
+    "geometry.traces=map.csv": 'a file of traces stands in geometry, as fractures_csv = "map.csv" there',
+    "traces=map.GeoJSON": 'a file of traces stands in geometry, as fractures_csv = "map.GeoJSON" there',
     "fracture.fault.points=3": 'stands in geometry, as fracture = [{name = "fault", points = [[x1, y1], [x2, y2]]}]',
     "fracture.fault.friction_coefficient=.6": "fracture.fault.friction_angle_deg = 30: contradicts friction_coefficient;",
     "fracture.fault={normal_stiffness=1,aperture=1,friction_angle_deg=1}": "fracture.fault.shear_stiffness: missing; required: k_s0",

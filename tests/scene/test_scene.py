@@ -120,6 +120,13 @@ def test_values_of_another_unit_are_told(make):
     ]
 
 
+@pytest.mark.parametrize("stress, told", [("-14", True), ("-14e6", False), ("0", False)])
+def test_a_stress_of_pascals_is_told(make, stress, told):
+    lines = advice(make(f"initial_stress={{xx={stress}, yy={stress}}}"))
+    found = [line for line in lines if line.startswith("initial_stress.xx = -14 ")]
+    assert bool(found) is told and all('give "-14 MPa"' in line for line in found)
+
+
 def test_a_rate_of_one_metre_of_fractures_is_told(make):
     """Nothing in the scene says how deep they are out of the plane."""
     told, stated = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from fracflow.mesh.data import Floats, Ints
 
 CORNER, ON_SIDE, FREE = 0, 1, 2  # how freely a point moves: not at all, along its side, anywhere
 CHUNK = 2_000_000  # pairs looked at together
+TINY = 1e-300
 ALMOST_ON = 2e-3  # slope, 0.11 degrees, at which a point and the ends of an edge make one line
 
 
@@ -76,20 +78,19 @@ def merge(lines: PlanarGraph, snap: float) -> PlanarGraph:
     from scipy.spatial import cKDTree  # imports much
 
     used = np.unique(lines.edges)
-    pairs = used[cKDTree(lines.points[used]).query_pairs(snap, output_type="ndarray")].reshape(-1, 2)
-    pairs = pairs[np.any(lines.rank[pairs] != CORNER, axis=1)]
-    if not len(pairs):
-        return lines
+    tree = cKDTree(lines.points[used])
+    next_one = tree.query(lines.points[used], k=[2], distance_upper_bound=np.nextafter(snap, np.inf))[0][:, 0]
+    close = used[next_one <= snap]
     degree = np.bincount(lines.edges.ravel(), minlength=len(lines.points))
-    close = np.unique(pairs)
-    place = np.empty(len(lines.points), dtype=np.int64)
     order = np.lexsort([close, -_lengths_at(lines)[close], -degree[close], lines.rank[close]])
-    place[close[order]] = np.arange(len(close))
-    pairs = np.take_along_axis(pairs, np.argsort(place[pairs], axis=1), axis=1)
-    target = np.arange(len(lines.points))
-    for keeper, other in pairs[np.lexsort([place[pairs[:, 1]], place[pairs[:, 0]]])].tolist():
-        if target[keeper] == keeper and target[other] == other and lines.rank[other] != CORNER:
-            target[other] = keeper
+    target, is_kept = np.arange(len(lines.points)), lines.rank == CORNER
+    for keeper in close[order].tolist():
+        if target[keeper] == keeper:  # a fine line has far more pairs than points that stay
+            near = used[tree.query_ball_point(lines.points[keeper], snap)]
+            target[near[(target[near] == near) & ~is_kept[near]]] = keeper
+            is_kept[keeper] = True
+    if np.all(target[close] == close):
+        return lines
     edges = target[lines.edges]
     is_left = edges[:, 0] != edges[:, 1]
     return replace(lines, became=target[lines.became], edges=edges[is_left], owner=lines.owner[is_left])
@@ -194,14 +195,54 @@ def boxes_that_meet(ends: Floats, reach: float) -> tuple[Ints, Ints]:
 
 
 def _meeting(low: Floats, high: Floats, lows: Floats, highs: Floats) -> tuple[Ints, Ints]:
-    """Pairs of boxes from ``low`` to ``high`` (n, 2) and from ``lows`` to ``highs`` (m, 2) that meet."""
-    found, step = [], max(1, CHUNK // max(1, len(lows)))
-    for begin in range(0, len(low), step):
-        rows = slice(begin, begin + step)
-        one, other = np.nonzero(np.all((low[rows, None] <= highs) & (lows <= high[rows, None]), axis=2))
-        found.append(np.stack([one + begin, other]))
-    one, other = np.concatenate(found, axis=1)
-    return one, other
+    """Pairs of boxes from ``low`` to ``high`` (n, 2) and from ``lows`` to ``highs`` (m, 2) that meet, in their order.
+
+    In strips of y about as high as the boxes, the left end of one of two that meet lies within the other. A pair is found in
+    the first strip that both are in.
+    """
+    if not len(low) or not len(lows):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    ends = np.concatenate([low[:, 0], lows[:, 0], high[:, 0], highs[:, 0]])
+    rank = np.unique(ends, return_inverse=True)[1].reshape(2, -1)
+    bottom, top = np.concatenate([low[:, 1], lows[:, 1]]), np.concatenate([high[:, 1], highs[:, 1]])
+    begin, count = float(bottom.min()), len(bottom)
+    strips = 1.0 + min(float(top.max() - begin) / max(float((top - bottom).mean()), TINY), count)
+    per_height = strips / max(float(top.max()) - begin, TINY)
+    first, last = (np.floor((each - begin) * per_height).astype(np.int64) for each in (bottom, top))
+    many = last - first + 1
+    box = np.repeat(np.arange(count), many)
+    strip = first[box] + np.arange(len(box)) - np.repeat(np.cumsum(many) - many, many)
+    width = len(ends) + 1
+    left, right = strip * width + rank[0][box], strip * width + rank[1][box]
+    is_one = box < len(low)
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for these in (is_one, ~is_one):
+        mine, theirs = np.flatnonzero(these), np.flatnonzero(~these)
+        theirs = theirs[np.argsort(left[theirs], kind="stable")]
+        start = np.searchsorted(left[theirs], left[mine] + (these is not is_one))  # left ends alike count once
+        stop = np.searchsorted(left[theirs], right[mine], "right")
+        for rows in _chunks(np.maximum(stop - start, 0)):
+            size = np.maximum(stop[rows] - start[rows], 0)
+            at = np.repeat(start[rows] - np.cumsum(size) + size, size) + np.arange(size.sum())
+            pair = np.stack([np.repeat(mine[rows], size), theirs[at]], axis=1)
+            a, b = box[pair].T
+            meets = (
+                (bottom[a] <= top[b]) & (bottom[b] <= top[a]) & (strip[pair[:, 0]] == np.maximum(first[a], first[b]))
+            )
+            found.append(np.sort(np.stack([a[meets], b[meets]], axis=1), axis=1))
+    one, other = np.concatenate(found).T
+    order = np.lexsort([other, one])
+    return one[order], other[order] - len(low)
+
+
+def _chunks(sizes: Ints) -> Iterator[slice]:
+    """Slices of rows that have about CHUNK of ``sizes`` (n,) in all, at least one row each."""
+    total, begin = np.cumsum(sizes), 0
+    while begin < len(sizes):
+        before = int(total[begin - 1]) if begin else 0
+        end = max(begin + 1, int(np.searchsorted(total, before + CHUNK, "right")))
+        yield slice(begin, end)
+        begin = end
 
 
 def _turn(one: Floats, other: Floats) -> Floats:

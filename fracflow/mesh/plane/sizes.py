@@ -7,7 +7,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.plane.planar_graph import boxes_that_meet
-from fracflow.mesh.plane.traces import SHALLOW, TraceNetwork
+from fracflow.mesh.plane.traces import SHALLOW, RowsOf, TraceNetwork
 
 STEP = 2**0.5  # ratio of sizes that follow each other
 SLENDER = 0.26  # thickness over length of a wedge, of 15 degrees: thicker ones hardly turn
@@ -82,12 +82,14 @@ def _wedges(network: TraceNetwork, most: float, least: float) -> tuple[Ints, Flo
     tip = network.tips
     own = whose[np.searchsorted(at, tip)]
     found: dict[int, float] = {}
+    of_trace, of_point, edges_of = RowsOf(whose), RowsOf(at), RowsOf(network.owner)
     for each, trace in zip(tip.tolist(), own.tolist(), strict=True):
-        here = np.isin(at, at[whose == trace]) & (whose != trace)  # where others meet the trace
+        here = np.concatenate([of_point(point) for point in at[of_trace(trace)].tolist()])
+        here = here[whose[here] != trace]  # where others meet the trace
         for other in np.unique(whose[here]).tolist():
-            apart = network.points[at[here & (whose == other)]] - network.points[each]
+            apart = network.points[at[here[whose[here] == other]]] - network.points[each]
             length = np.linalg.norm(apart, axis=1).min()
-            edges = network.points[network.edges[network.owner == other]]
+            edges = network.points[network.edges[edges_of(other)]]
             gap = float(_distances(network.points[[each]], edges).min())
             if length >= least and gap < min(most, SLENDER * length, found.get(each, most)):
                 found[each] = gap

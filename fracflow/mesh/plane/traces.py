@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.planar_graph import PlanarGraph, cross, near_edges, planar_graph_of, settle
 from fracflow.remarks import note
@@ -132,6 +132,21 @@ class _Labels:
         return " and ".join(self(owner) for owner in np.unique(owners)[::-1].tolist())
 
 
+class RowsOf:
+    """The rows that have a value, among those chosen if they are, without a look at all of them for each."""
+
+    def __init__(self, values: Ints, chosen: Bools | None = None) -> None:
+        """Sort the rows by values (n,)."""
+        self._rows = np.arange(len(values)) if chosen is None else np.flatnonzero(chosen)
+        self._rows = self._rows[np.argsort(values[self._rows], kind="stable")]
+        self._values = values[self._rows]
+
+    def __call__(self, value: int) -> Ints:
+        """Those (k,) of a value, in their order."""
+        begin, end = np.searchsorted(self._values, [value, value + 1])
+        return np.asarray(self._rows[begin:end])
+
+
 def is_within(points: Floats, polygon: Floats) -> np.ndarray:
     """Whether each point (m, 2) is inside a polygon (k, 2)."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
@@ -231,9 +246,10 @@ def _inside(lines: PlanarGraph, domain: Floats, labels: _Labels) -> tuple[Planar
         more = f" (and {len(gone) - 1} more: {others})" if others else ""
         raise InputError(f"geometry: {labels(gone[0])}: lies outside the domain{more}; move or remove it")
     notes = []
+    on_side, of_trace = np.isin(np.arange(len(lines.points)), lines.edges[lines.owner < 0]), RowsOf(lines.owner, is_out)
     for trace in np.unique(lines.owner[is_out]).tolist():
-        edges = lines.edges[is_out & (lines.owner == trace)]
-        met = edges[np.isin(edges, lines.edges[lines.owner < 0])]
+        edges = lines.edges[of_trace(trace)]
+        met = edges[on_side[edges]]
         met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
         where = ", ".join(place_text(place, extent_of(lines.points)) for place in lines.points[met])
@@ -258,12 +274,12 @@ def _without_repeats(
     is_again = np.all(ends[order[1:]] == ends[order[:-1]], axis=1)
     first, again = order[:-1][is_again], order[1:][is_again]
     length = np.linalg.norm(np.diff(lines.points[lines.edges], axis=1)[:, 0], axis=1)
-    notes = []
+    notes, owners = [], RowsOf(lines.owner)
     for keeper, other in sorted(set(zip(lines.owner[first].tolist(), lines.owner[again].tolist(), strict=True))):
         rows = again[(lines.owner[first] == keeper) & (lines.owner[again] == other)]
         shared, place = length[rows].sum(), lines.points[lines.edges[rows]].reshape(-1, 2)
         where = " to ".join(place_text(place[row], extent_of(lines.points)) for row in (0, -1))
-        whole = min(length[lines.owner == owner].sum() if owner >= 0 else np.inf for owner in (keeper, other))
+        whole = min(length[owners(owner)].sum() if owner >= 0 else np.inf for owner in (keeper, other))
         limit = np.inf if (min(keeper, other), max(keeper, other)) in shallow else stretch
         if shared > min(limit, 0.5 * whole):
             if keeper == other:
@@ -288,10 +304,10 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
     came_with = np.full(len(lines.points), -1)
     came_with[given.edges.ravel()] = np.repeat(given.owner, 2)
     is_end = np.bincount(given.edges.ravel(), minlength=len(lines.points)) == 1
-    notes = []
+    notes, ends_at = [], RowsOf(at)
     for point in np.flatnonzero((moved > least) & np.isin(lines.became, at)).tolist():
         here = lines.became[point]
-        others = np.setdiff1d(of[at == here], [came_with[point]])
+        others = np.setdiff1d(of[ends_at(here)], [came_with[point]])
         if point < lines.given:
             what = f"{labels(came_with[point])}: {'end' if is_end[point] else 'point'}"
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
@@ -300,7 +316,7 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
         before, after = (place_text(each, extent) for each in (lines.first[point], lines.points[here]))
         notes.append(note(f"{what} {before} moved by {moved[point]:.3g}{labels.unit} to {after}{onto}"))
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
-        if distance > least and point in at:
+        if distance > least and len(ends_at(point)):
             place = place_text(lines.points[point], extent)
             notes.append(note(f"{labels(trace)}: bent by {distance:.3g}{labels.unit} to {place}"))
     return notes

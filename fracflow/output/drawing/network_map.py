@@ -48,6 +48,7 @@ class Network:
     marks     kind -> name -> place; kinds are "well", "probe", "slipped first", "limit point"
     sides     kind -> pieces (s, 2, 2) of sides [length]; kinds are "support", "absorbing side"
     window    (2, 2) lowest and highest corner of what is shown [length]; None for all of it
+    is_meshed  whether cells are of a mesh, and not a map of rock without one
     """
 
     rock: Sequence[Floats]
@@ -58,6 +59,7 @@ class Network:
     marks: Mapping[str, Places] = field(default_factory=dict)
     sides: Mapping[str, Floats] = field(default_factory=dict)
     window: Floats | None = None
+    is_meshed: bool = True
 
     @property
     def shape(self) -> float:
@@ -123,7 +125,7 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
     stretch = float(f"{np.clip(ratio, FLATTEST, TALLEST) / ratio:.2g}")
     axes.set_aspect(stretch, anchor="N")
     look: dict[str, Any] = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
-    if len(network.rock) > MOST_CELLS:
+    if len(network.rock) > MOST_CELLS or not network.is_meshed:
         look |= dict(edgecolors="face")
     axes.add_collection(PolyCollection([scaled(cell, x, y) for cell in network.rock], **look))
     axes.add_collection(LineCollection(list(scaled(network.segments, x, y)), colors=INK, linewidths=1.0))
