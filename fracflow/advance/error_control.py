@@ -13,7 +13,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
-from fracflow.advance.step_error import Vibration, largest_displacement, step_error, swing_of, vibration
+from fracflow.advance.step_error import LEAST, Vibration, largest_displacement, step_error, swing_of, vibration
 from fracflow.errors import SolveError
 from fracflow.integrators import FlowRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
@@ -74,6 +74,7 @@ class ErrorEstimator:
         self.adding = 1.0 - PASSING if self.of_flow and cast(FlowRule, stepper).has_passing_error else 1.0
         # where fracture flow begins anew, since earlier steps do not predict later ones
         self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_flow and self.tolerance else {}
+        self.least = LEAST * self._volume() if self.of_flow else 0.0  # less is round-off
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
@@ -212,13 +213,21 @@ class ErrorEstimator:
         return {"farthest": self.largest, **kept, **self.follows.as_progress()}
 
     def _size(self, state: State) -> float:
-        """Largest displacement, or the volume that fractures have taken up or released."""
+        """Largest displacement, or the volume that walls and compression of the fluid have taken up or released.
+
+        Each counts by itself: in a sealed fracture both are the same, and fluid that stays where it is adds up to nothing.
+        """
         if not self.of_flow:
             return largest_displacement(self.operators, state)
-        gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
+        moved, compression = self._sum(self._room(state.motion.displacement)), compression_of(self.operators, state)
         if compression is not None and self.operators.flow is not None:
-            gone += self.operators.flow.at_nodes(compression.held)
-        return self._sum(gone)
+            moved += self._sum(self.operators.flow.at_nodes(compression.held))
+        return max(moved, self.least)
+
+    def _volume(self) -> float:
+        """Volume of all fractures at their initial apertures [volume per thickness]. Collective."""
+        network = self.operators.network
+        return self._sum(network.aperture * 0.5 * network.length[:, None])
 
     def _flow_error(self, dt: float, old: State, new: State) -> tuple[float, float]:
         """Volume that a substep puts in the wrong place, and that of ``passing_error`` [volume per thickness]. Collective."""

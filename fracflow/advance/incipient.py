@@ -16,6 +16,7 @@ from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
 
 DOUBLINGS = 60
+STANDS_STILL = 1e-3  # change of |f_s|/f_sy over a doubling of the control, by which it comes no nearer to the strength
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
@@ -28,9 +29,10 @@ def utilisation(model: Model, sections: Sections) -> float:
 class _Search:
     """How far the control may rise: states tried from one start, and how far each is from the strength sought."""
 
-    def __init__(self, stepping: Stepping, state: State, stage: Stage, log: Log) -> None:
+    def __init__(self, stepping: Stepping, state: State, stage: Stage, log: Log, used: tuple[float, float]) -> None:
+        """From a state on; ``used`` are |f_s|/f_sy one try before it, and there."""
         assert stage.control is not None
-        self.log = log
+        self.log, self.used = log, used
         self.stepping, self.state, self.stage, self.control = stepping, state, stage, stage.control
         self.tried: dict[float, tuple[State, StepReport]] = {}
         self.failure: SolveError | None = None
@@ -61,10 +63,14 @@ class _Search:
         sought = 1.0 - self.stage.tolerance
         best = min(below, key=lambda value: abs(below[value] - sought), default=low)
         if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
-            reached = f"|f_s|/f_sy = {below[best]:.9g}" if below else "no state"
+            before, now = self.used
+            reached = below[best] if below else now
+            still = not below and abs(now - before) < STANDS_STILL
+            hopeless = ", and rises no further: this control brings no fracture to its strength" if still else ""
             raise SolveError(
                 f"stage {self.stage.title}: the search for incipient failure ended at control.{self.control} = {best:.9g}"
-                f" with {reached}, sought 1 - {self.stage.tolerance:g}; beyond it {self.failure or 'sections slide at once'}"
+                f" with |f_s|/f_sy = {reached:.9g}, sought 1 - {self.stage.tolerance:g}{hopeless};"
+                f" beyond it {self.failure or 'sections slide at once'}"
             )
         return best
 
@@ -86,11 +92,13 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
         log(note(f"stage {stage.title}: already at incipient failure"))
         return
     increment = progress.get("increment", model.scene.control[control].increment)
+    before, used = -1.0, utilisation(model, state.sections)
     for _ in range(DOUBLINGS):
-        search, high = _Search(stepping, state, stage, log), low + increment
+        search, high = _Search(stepping, state, stage, log, (before, used)), low + increment
         if search.excess(high) >= 0.0:
             break
         state, report = search.tried.pop(high)
+        before, used = used, utilisation(model, state.sections)
         low, increment = high, 2.0 * increment
         yield Step(state, number, 0.0, report, {"increment": increment})
     else:

@@ -60,9 +60,15 @@ def refuse_imbalance(model: Model) -> None:
             ' "initial-stress"; on a'
             " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or"
             ' initial_stress.unbalanced = "carried"; a [body_force] must balance the'
-            f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
-            " the state that is"
+            f" gradient of initial_stress{_uncarried(model.scene)}{_on_top(model.scene)};"
+            " or let a first [[stage]] with kind = 'equilibrate' find the state that is"
         )
+
+
+def _on_top(scene: Scene) -> str:
+    """That loads in numbers do not belong to the initial state, where a scene has some."""
+    given = any(load.traction != "initial-stress" for load in scene.load)
+    return "; a [[load]] in numbers comes on top of the initial state, from the first step on" if given else ""
 
 
 def _uncarried(scene: Scene) -> str:

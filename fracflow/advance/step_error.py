@@ -14,7 +14,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 
-LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
+LEAST = 1e-9  # of the length of a joint, or the volume of fractures: smaller motions need no accuracy
 
 
 def step_error(

@@ -21,7 +21,7 @@ static double energy_of(const double *law, double opening) {
 /* ``Trial.margin`` */
 static double margin_of(const double *law, const past *before, const friction *at, double opening) {
   if (at->is_free) return law[F_N] < 0.0 ? fabs(law[F_N] + law[K_N] * opening) / -law[F_N] : INFINITY;
-  if (!isfinite(at->onset)) return INFINITY;
+  if (!isfinite(at->onset) || (!(at->size > 0.0) && !(at->onset > 0.0))) return INFINITY;
   const double excess = before->sliding != 0.0 ? at->along - at->kept : at->size - at->onset;
   return fabs(excess) / most_of(at->onset, TINY_STRENGTH * most_of(fabs(law[F_N]), law[K_N] * law[GAP]));
 }

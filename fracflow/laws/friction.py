@@ -94,8 +94,11 @@ class Trial:
         return np.where(self.was_sliding, persists, fails) & ~self.free
 
     def margin(self, onset: Floats, kept: Floats) -> Floats:
-        """Distance (n,) of that choice from its threshold: shear excess over strength; if open, the gap."""
-        limited = np.isfinite(onset)
+        """Distance (n,) of that choice from its threshold: shear excess over strength; if open, the gap.
+
+        Where there is neither traction nor strength, as where a fracture under gravity daylights, there is nothing to choose.
+        """
+        limited = np.isfinite(onset) & ((self.size > 0.0) | (onset > 0.0))
         tiny = TINY_STRENGTH * self.closure.stress_scale(len(onset))
         scale = np.maximum(np.where(limited, onset, 1.0), tiny)
         excess = np.where(self.was_sliding, self.along - kept, self.size - onset)

@@ -21,7 +21,8 @@ MOST_LETTERS, MOST_NAMES = 100, 300  # that a misspelt name is compared by, and 
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which allowed name was probably meant, or list them all."""
     names = sorted(allowed)
-    match = get_close_matches(name[:MOST_LETTERS], names[:MOST_NAMES], n=1)
+    longer = [each for each in names[:MOST_NAMES] if name in each.split("_")]
+    match = longer if len(longer) == 1 else get_close_matches(name[:MOST_LETTERS], names[:MOST_NAMES], n=1)
     if match:
         return f'did you mean "{match[0]}"?'
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""

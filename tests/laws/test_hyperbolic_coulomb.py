@@ -106,6 +106,13 @@ def test_re_stick_is_elastic_even_past_the_peak():
     assert not response.is_sliding[0] and response.margin[0] > 0
 
 
+def test_without_traction_and_strength_nothing_is_near_its_threshold():
+    """Where a fracture under gravity daylights; any compression or traction counts."""
+    law = replace(LAW, initial_normal_traction=0.0, cohesion=0.0)
+    assert at(law, 0.0, 0.0).margin[0] == np.inf
+    assert np.isfinite([at(law, 0.0, -1e-12).margin[0], at(law, 1e-12, 0.0).margin[0]]).all()
+
+
 def test_open_section():
     past = at(LAW, 0.01, 0.0).history
     response = at(LAW, 0.02, 3e-3, past)

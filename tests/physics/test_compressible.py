@@ -131,6 +131,23 @@ def test_a_load_that_comes_and_goes_leaves_the_fluid_it_found(shared_tmp, rule):
     closes(history)
 
 
+@pytest.mark.parametrize("softness", [0.0, 1e-8, 0.3])
+def test_a_sealed_film_under_load_is_exact_in_the_steps_that_were_asked_for(shared_tmp, softness):
+    """d exp(c_f p) = 10 everywhere: no fluid runs, so that a tolerance has nothing to shorten steps for. f_n = p - load."""
+    text = SOFT.format(pressure=0.1).replace("compressibility = 0.1", f"compressibility = {softness}")
+    text = text.replace("youngs_modulus = 1e-15", "youngs_modulus = 5")
+    text = text.replace(
+        'on = "top"', 'on = "top"\ncomponents = ["x"]\n[[load]]\non = "top"\ntraction = "initial-stress"'
+    )
+    text += '[[load]]\non = "top"\ntraction = [0, [[0, 0], [2, -3]]]\n' + PROBE % 1.5 + stage("quasi-static", 2.0, 4)
+    history, _ = winkler.ran(shared_tmp, np.array([0.0, 1.0, 1.5, 4.0]), text, "accuracy.tolerance=1e-3")
+    assert history["time"] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])
+    p = history["probe/far/pressure"] - 0.1  # k_n = 1: the opening is p less the load
+    assert (10.0 + p - 1.5 * history["time"]) * np.exp(softness * p) == pytest.approx(10.0, rel=1e-9)
+    assert p[-1] > 0.8
+    closes(history)
+
+
 def driven(rate, end):
     """int_0^end 3 s^2 exp(-rate (end - s)) ds."""
     return 3 * (end**2 / rate - 2 * end / rate**2 + 2 / rate**3 - 2 * np.exp(-rate * end) / rate**3)
