@@ -67,18 +67,18 @@ class Order:
             slab[there] = part
         return slab
 
-    def hand_out(self, slab: Values | None, first: int, last: int, values: Values) -> None:
-        """Put rows (last - first, ...) that rank 0 has into the ``values`` (n, ...) of the ranks. Collective."""
-        rows, places, counts = self._part(first, last)
+    def hand_out(self, slab: Values | None, first: int, last: int, values: Values, root: int = 0) -> None:
+        """Put rows (last - first, ...) that rank ``root`` has into the ``values`` (n, ...) of the ranks. Collective."""
+        rows, places, counts = self._part(first, last, root)
         if counts is None or slab is None:
             if len(rows):
-                self.comm.Send(places, 0)
+                self.comm.Send(places, root)
                 part = np.empty((len(rows), *values.shape[1:]), dtype=values.dtype)
-                self.comm.Recv([part, MPI.BYTE], 0)
+                self.comm.Recv([part, MPI.BYTE], root)
                 values[rows] = part
             return
         values[rows] = slab[places]
-        for rank, there in self._of_others(counts):
+        for rank, there in self._of_others(counts, root):
             self.comm.Send([np.ascontiguousarray(slab[there]), MPI.BYTE], rank)
 
     def whole(self, values: Values) -> Values | None:
@@ -91,17 +91,17 @@ class Order:
                 found[first:last] = slab
         return found
 
-    def _part(self, first: int, last: int) -> tuple[Ints, NDArray[np.int32], list[int] | None]:
-        """This rank's rows from ``first`` to ``last``, their places there, and on rank 0 how many each rank has."""
+    def _part(self, first: int, last: int, root: int = 0) -> tuple[Ints, NDArray[np.int32], list[int] | None]:
+        """This rank's rows from ``first`` to ``last``, their places there, and on rank ``root`` how many each rank has."""
         start, end = np.searchsorted(self._ids, (first, last))
         places = (self._ids[start:end] - first).astype(np.int32)
         rows = np.arange(start, end) if self._rows is None else self._rows[start:end]
-        return rows, places, self.comm.gather(len(places), root=0)
+        return rows, places, self.comm.gather(len(places), root=root)
 
-    def _of_others(self, counts: list[int]) -> Iterator[tuple[int, NDArray[np.int32]]]:
+    def _of_others(self, counts: list[int], root: int = 0) -> Iterator[tuple[int, NDArray[np.int32]]]:
         """The other ranks that have rows of a slab, and the places of these, which they send."""
         for rank, count in enumerate(counts):
-            if rank and count:
+            if rank != root and count:
                 there = np.empty(count, dtype=np.int32)
                 self.comm.Recv(there, rank)
                 yield rank, there

@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,15 @@ class Layout:
     def flow_numbers(self, numbers: Ints) -> Ints:
         """Joined numbers (...) of pressure unknowns (...)."""
         return numbers + self.solid_starts[owner_of(self.flow_starts, numbers) + 1]
+
+    def is_flow(self, numbers: Ints) -> Bools:
+        """Which joined numbers (...) are those of pressures."""
+        ranks = self.comm.size
+        edges = np.stack(
+            [(self.solid_starts + self.flow_starts)[:ranks], self.solid_starts[1:] + self.flow_starts[:ranks]], 1
+        )
+        found: Bools = (np.searchsorted(edges.ravel(), numbers, side="right") - 1) % 2 == 1
+        return found
 
     def index_sets(self) -> tuple[PETSc.IS, PETSc.IS]:
         """The splits named solid and flow, for PCFIELDSPLIT. The caller destroys them."""

@@ -127,9 +127,14 @@ class Model:
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
     """Do ``work`` on rank 0; its InputError is raised on every rank, an OSError as a DiskError. Collective."""
+    return on_first(comm, 1, work)
+
+
+def on_first(comm: MPI.Comm, ranks: int, work: Callable[[], Result]) -> Result | None:
+    """Do ``work`` on the first ranks, so many; the first of their errors is raised on every rank as above. Collective."""
     result: Result | None = None
     failure: InputError | DiskError | None = None
-    if comm.rank == 0:
+    if comm.rank < ranks:
         try:
             result = work()
         except InputError as error:
@@ -138,7 +143,10 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
             failure = DiskError(str(error))
         except OSError as error:
             failure = DiskError.of(error, "the run folder")
-    failure = comm.bcast(failure, root=0)
+    if ranks == 1:
+        failure = comm.bcast(failure, root=0)
+    else:
+        failure = next((each for each in comm.allgather(failure) if each is not None), None)
     if failure is not None:
         raise failure
     return result

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.mesh.slabs import Distributed, Order
 from fracflow.model.operators import Operators
-from fracflow.model.setup import on_root
+from fracflow.model.setup import on_first, on_root
 from fracflow.model.state import FluidVolumes, Forces, Motion, PreviousStep, SectionHistory, Sections, State
 from fracflow.model.terms.term import Term
 from fracflow.storage.reader import Layout
@@ -53,6 +54,7 @@ NOTES = (
     "events",
 )
 _NO_CHECKPOINT = "is no checkpoint"
+SHARED = 1 << 26  # bytes of a checkpoint: below, rank 0 reads it before other ranks have started to read
 MEMORY = "mean_velocity"
 ANCHOR = "anchor"
 PRESTRESS = "prestress"
@@ -280,18 +282,33 @@ def restore_state(operators: Operators, file: SealedFile | None, notes: Mapping[
 
 
 class _SavedArrays:
-    """The arrays of a checkpoint for all ranks; rank 0 reads them, a slab at a time. Calls are collective."""
+    """The arrays of a checkpoint for all ranks; each reads some slabs, one at a time. Calls are collective."""
 
     def __init__(self, comm: MPI.Comm, file: SealedFile | None) -> None:
-        self._comm, self._file = comm, file
+        self._comm, self._file, self._readers = comm, file, 1
         self.layout: Layout = comm.bcast(None if file is None else file.layout, root=0)
+        size = sum(np.dtype(kind).itemsize * math.prod(shape) for kind, shape in self.layout.values())
+        if comm.size > 1 and size >= SHARED:
+            self._share()
+
+    def _share(self) -> None:
+        """Let all ranks read the file, where all reach it. Collective."""
+        path, root = self._comm.bcast(None if self._file is None else self._file.place, root=0)
+        with suppress(InputError):  # the folder of another machine, say: rank 0 reads for all
+            self._file = self._file or SealedFile(path, _NO_CHECKPOINT, ours=root)
+        if self._comm.allreduce(self._file is not None, op=MPI.LAND):
+            self._readers = self._comm.size
 
     def rows(self, name: str, order: Order) -> NDArray[Any]:
         """This rank's rows (n, ...). Raises InputError for values that no state has."""
         kind, shape = self.layout[name]
         values = np.zeros((order.count, *shape[1:]), kind)
-        for first, last in slabs_of(values.dtype, shape):
-            order.hand_out(on_root(self._comm, partial(self._slab, name, first, last)), first, last, values)
+        slabs = list(slabs_of(values.dtype, shape))
+        for begin in range(0, len(slabs), self._readers):
+            group = slabs[begin : begin + self._readers]
+            slab = on_first(self._comm, len(group), partial(self._slab_of, name, group))
+            for root, (first, last) in enumerate(group):
+                order.hand_out(slab, first, last, values, root)
         return values
 
     def memory(self, term: Term, order: Order) -> NDArray[Any]:
@@ -307,6 +324,9 @@ class _SavedArrays:
         if fault := max(self._comm.allgather(fault)):
             raise ValueError(fault)
         return found
+
+    def _slab_of(self, name: str, group: Sequence[tuple[int, int]]) -> NDArray[Any]:
+        return self._slab(name, *group[self._comm.rank])
 
     def _slab(self, name: str, first: int, last: int) -> NDArray[Any]:
         assert self._file is not None

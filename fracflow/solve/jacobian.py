@@ -85,18 +85,21 @@ class JoinedMatrix:
         self._fluids, self._summed = [closure for closure in loads.closures if closure.by == "fluid"], loads.summed
         closing = [self._closure(closure) for closure in loads.closures]
         swept = self._summed_parts(parts) if self._summed is not None else np.zeros(0)
-        for number, (row, cols, _) in enumerate(closing):
-            parts[f"closure {number}"] = Entries((here > row).astype(np.int64) * len(cols), petsc_ints(cols))
+        closing = sorted((each for each in closing if len(each[1])), key=lambda each: each[0])
+        counts = np.zeros(self.rows_here, dtype=np.int64)
+        counts[[row for row, *_ in closing]] = [len(cols) for _, cols, _ in closing]
+        columns = np.concatenate([np.zeros(0, dtype=np.int64), *(cols for _, cols, _ in closing)])
+        parts["closures"] = Entries(np.concatenate([[0], np.cumsum(counts)]), petsc_ints(columns))
         pattern = Pattern.of(parts, ROCK, layout.total, layout.comm)
         parts.clear()
         self._edges, self._starts, self._marks = pattern.edges, pattern.starts, pattern.marks
         self._diagonal = pattern.places["diagonal"]
         self._places = {name: pattern.places[name] for name in self._couplings}
-        self._closed = np.array([row for row, cols, _ in closing if len(cols)], dtype=np.int64)
+        self._closed = np.array([row for row, *_ in closing], dtype=np.int64)
+        places = np.split(pattern.places["closures"], np.cumsum([len(cols) for _, cols, _ in closing]))
         self._closing = [
-            (np.arange(*self._starts[row : row + 2]), pattern.places[f"closure {number}"], weights)
-            for number, (row, cols, weights) in enumerate(closing)
-            if len(cols)
+            (np.arange(*self._starts[row : row + 2]), place, weights)
+            for place, (row, _, weights) in zip(places[:-1], closing, strict=True)
         ]
         if self._summed is not None:
             rows = layout.solid_count + self._summed.roots
@@ -212,29 +215,23 @@ class JoinedMatrix:
         return rows, np.append(ends[rows], ends[-1]), entries
 
     def held(self, only: str | None) -> Bools:
-        """Whether each of the unknowns (n,) of all ranks is held."""
-        held = np.zeros(self.layout.total, dtype=bool)
-        held[self.fixed] = True
-        if only == "solid":
-            held[self.layout.flow_numbers(np.arange(self.layout.flow_starts[-1]))] = True
-        elif only == "flow":
-            held[self.layout.solid_numbers(np.arange(self.layout.solid_starts[-1]))] = True
-        return held
+        """Whether each of this rank's unknowns (n,) is held."""
+        return self._is_held(self.layout.start + np.arange(self.rows_here), only)
+
+    def _is_held(self, numbers: Ints, only: str | None) -> Bools:
+        held = np.isin(numbers, self.fixed)
+        return held if only is None else held | (self.layout.is_flow(numbers) == (only == "solid"))
 
     def _find_free(self, only: str | None) -> FreePart:
-        held = self.held(only)
-
         def free(numbers: Ints) -> Ints:
-            return np.where(held[numbers], -1, numbers)
+            return np.where(self._is_held(numbers, only), -1, numbers)
 
-        own = held[self.layout.start : self.layout.start + self.rows_here]
-        closed = np.zeros(self.layout.total, dtype=bool)
-        closed[np.concatenate(self.layout.comm.allgather(self.layout.start + self._closed))] = True
-        nodes = free(self._flow_nodes)
+        own, nodes = self.held(only), free(self._flow_nodes)
+        closed = np.concatenate(self.layout.comm.allgather(self.layout.start + self._closed))
         return FreePart(
-            self._entries_of(own, held),
+            self._entries_of(own, only),
             self._diagonal[own],
-            np.where(closed[self._flow_nodes], -1, nodes),
+            np.where(np.isin(self._flow_nodes, closed), -1, nodes),
             tuple(free(numbers) for numbers in self._sections),
             nodes,
             tuple(free(numbers) for _, numbers, _ in self._ends),
@@ -242,14 +239,18 @@ class JoinedMatrix:
             np.where(self._keeping < 0, -1, free(self._keeping)),
         )
 
-    def _entries_of(self, rows: Bools, columns: Bools) -> Ints:
-        """Places of entries (n,) in this rank's rows (rows,) and in columns (total,) that are marked. Collective."""
+    def _entries_of(self, held: Bools, only: str | None) -> Ints:
+        """Places of entries (n,) in this rank's rows and in columns that are held; its own (n,) are marked. Collective."""
         found = []
         for (first, last), (starts, numbers, _) in zip(
             pairwise(self._edges), by_rows(self.matrix, self._edges), strict=True
         ):
-            of_rows = np.repeat(rows[first:last], np.diff(starts))
-            found.append(self._starts[first] + np.flatnonzero(of_rows | columns[numbers]))
+            of_held = np.repeat(held[first:last], np.diff(starts))
+            column = numbers - self.layout.start
+            is_own = (column >= 0) & (column < self.rows_here)
+            of_held[is_own] |= held[column[is_own]]
+            of_held[~is_own] |= self._is_held(numbers[~is_own], only)
+            found.append(self._starts[first] + np.flatnonzero(of_held))
         return np.concatenate(found)
 
     @property

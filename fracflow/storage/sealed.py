@@ -201,6 +201,11 @@ class SealedFile:
         self._seal.check_root(ours)
 
     @property
+    def place(self) -> tuple[Path, str]:
+        """Where it lies, and the root of its seal."""
+        return self._path, self._seal.root
+
+    @property
     def layout(self) -> Layout:
         """Types and shapes of its arrays."""
         return self._seal.layout

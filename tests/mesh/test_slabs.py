@@ -7,7 +7,9 @@ import errno
 import numpy as np
 import pytest
 
+from fracflow.errors import InputError
 from fracflow.mesh.slabs import Order, on_rank_0
+from fracflow.output import checkpoint
 from fracflow.storage import sealed
 from fracflow.storage.sealed import SealedFile, slabs_of, write_sealed, write_slabs
 
@@ -55,9 +57,34 @@ def test_each_rank_is_handed_its_rows(arrays):
     whole, order, mine = arrays
     for name, values in whole.items():
         found = np.zeros_like(values[mine])
-        for first, last in slabs_of(values.dtype, values.shape):
-            order.hand_out(values[first:last] if order.comm.rank == 0 else None, first, last, found)
+        for number, (first, last) in enumerate(slabs_of(values.dtype, values.shape)):
+            root = number % order.comm.size
+            order.hand_out(values[first:last] if order.comm.rank == root else None, first, last, found, root)
         assert np.array_equal(found, values[mine]), name
+
+
+@pytest.mark.parametrize("reach", ["all ranks", "rank 0"])
+def test_ranks_read_slabs_of_a_large_checkpoint_where_all_reach_it(arrays, comm, shared_tmp, monkeypatch, reach):
+    whole, order, mine = arrays
+    file, read = None, []
+    if comm.rank == 0:
+        write_sealed(shared_tmp / "state.h5", whole, {"note": "x"})
+        file = SealedFile(shared_tmp / "state.h5", "is no file of ours")
+    elif reach == "rank 0":
+        monkeypatch.setattr(checkpoint, "SealedFile", lambda *given, ours: SealedFile(shared_tmp / "none", "is none"))
+    comm.Barrier()
+    monkeypatch.setattr(checkpoint, "SHARED", 0)
+    monkeypatch.setattr(SealedFile, "rows", lambda *given, of=SealedFile.rows: read.append(given[1:]) or of(*given))
+    saved = checkpoint._SavedArrays(comm, file)
+    for name, values in whole.items():
+        assert np.array_equal(saved.rows(name, order), values[mine]), name
+    slabs = [("vector", *each) for each in slabs_of(whole["vector"].dtype, whole["vector"].shape)]
+    readers = comm.size if reach == "all ranks" else 1
+    assert [each for each in read if each[0] == "vector"] == slabs[comm.rank :: readers] * (comm.rank < readers)
+
+    monkeypatch.setattr(SealedFile, "rows", lambda self, name, first, last: np.full((last - first, 3), np.nan))
+    with pytest.raises(InputError, match="vector has values that are no finite numbers"):
+        saved.rows("vector", order)
 
 
 def test_a_fault_of_rank_0_at_any_slab_leaves_none_waiting(arrays, comm):
