@@ -4,7 +4,8 @@ One time step by the program's own Newton method, into a fault at rest in a squa
 m, the fault buried or through-going, with a fixed pressure at its start or closed, so that only its walls can store the
 fluid; steady flow, quasi-static and dynamic; blocks solved exactly (MUMPS) or, for the rock, by multigrid (BoomerAMG).
 The worst linear solve of a step counts; its true relative residual |b - A x| / |b|, largest entries, is stated, in the
-scaled unknowns. Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 30 with multigrid.
+scaled unknowns. Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 30 with multigrid. Joints that
+slide and open, other stiffnesses, contrasts and time steps are in scripts/bench sliding, with the bar of 30.
 """
 
 from __future__ import annotations
