@@ -44,8 +44,11 @@ OF_EVENTS = {
     ),
 }  # fmt: skip
 """Numbers of a row of events.csv besides start and end, by its kind."""
-PARTS_OF = {"shear_traction": "traction", "normal_traction": "traction", "slip": "jump", "opening": "jump"}
-"""Components of joints that have names of their own: the vector that they are of."""
+PARTS_OF = {
+    "shear_traction": "traction", "normal_traction": "traction", "strength": "traction", "slip": "jump", "opening": "jump",
+}  # fmt: skip
+"""Components of joints that have names of their own: the vector that they are of. Strength bounds a traction: where the normal
+traction hardly changes, its own change is an error of the mesh."""
 DIMENSIONS = {
     "slip": "jump",
     "mean_slip": "jump",
