@@ -144,6 +144,18 @@ def refuse_two_pressures(scene: Scene, wells: Mapping[str, tuple[int, ...]]) -> 
             )
 
 
+def overruled_rates(scene: Scene, wells: Mapping[str, tuple[int, ...]]) -> Iterator[str]:
+    """A line for each well whose flow_rate goes into a node at which another well keeps the pressure."""
+    for rate in scene.well:
+        for kept in scene.well:
+            is_so = rate.flow_rate is not None and kept.pressure is not None and {rate.name, kept.name} <= wells.keys()
+            if is_so and not {*wells[rate.name]}.isdisjoint(wells[kept.name]):
+                yield (
+                    f"well.{rate.name}: its flow_rate has no effect: it sits on a node of well.{kept.name}, which keeps"
+                    " the pressure there and takes it all; move one of them, or leave it out"
+                )
+
+
 def _nodes(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints], name: str) -> Ints:
     if name in mesh.sides:
         return np.unique(mesh.side_facets[mesh.side_of == mesh.sides.index(name)])

@@ -32,7 +32,7 @@ from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
-from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
+from fracflow.model.dirichlet import meeting_supports, overruled_rates, refuse_two_pressures
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
@@ -319,6 +319,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
                 if (away := moved(mesh, asked[name], found.point, unit))
             ),
             *meeting_wells(wells, displaced),
+            *overruled_rates(scene, wells),
             *meeting_supports(scene, mesh, points),
         ),
     )

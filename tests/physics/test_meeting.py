@@ -74,7 +74,11 @@ def test_wells_that_come_to_share_a_node_are_told(shared_tmp):
     wells += " {name = 'near', at = [1.001, 1.0005], flow_rate = 1e-6}]"
     found = _notes(shared_tmp, wells, about="share a node")
     assert [line.split(" share")[0] for line in found] == ["well.in and well.near", "well.too and well.near"]
-    assert not _notes(shared_tmp, wells, "geometry.snap=1e-4", about="share a node")
+    told = _notes(shared_tmp, wells, about="no effect")
+    assert [line.partition(": its flow_rate has no effect")[0] for line in told] == ["well.near", "well.near"]
+    assert "well.in, which" in told[0] and "well.too, which" in told[1]
+    apart = _notes(shared_tmp, wells, "geometry.snap=1e-4", about="well")
+    assert apart and not any("share a node" in line or "no effect" in line for line in apart)
 
 
 @pytest.mark.parametrize(("point", "place"), [(5, "(0, -2000)"), (6, "(0, 2000)")])
