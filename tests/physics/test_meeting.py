@@ -94,4 +94,5 @@ def test_a_well_at_a_named_point_says_where_it_is(point, place, shared_tmp):
         [f"mesh.file={str(shared_tmp / 'fault.geo')!r}", "well.0.at='in'"],
     )
     notes = prepare(scene, MPI.COMM_WORLD).placed.notes
-    assert bare(notes[0]) == f"well.node2 is on fault at {place} ft" and len(notes) == len(scene.well)
+    assert bare(notes[0]) == f"well.node2 is on fault at {place} ft" and len(notes) == len(scene.well) + 1
+    assert notes[-1].startswith("well.node2: its flow_rate has no effect"), "the end of the fault keeps its pressure"
