@@ -31,9 +31,9 @@ from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
-from fracflow.solve.accept import accept, first_guess, remember
+from fracflow.solve.accept import accept, remember
 from fracflow.solve.flow_round_off import check_digits
-from fracflow.solve.problem import StepProblem
+from fracflow.solve.problem import Guess, StepProblem
 from fracflow.solve.request import StepRequest, StepRule, Work, begins_anew, rule_of
 
 Progress = Mapping[str, float]
@@ -231,7 +231,7 @@ class SingleStep:
         trials = Trials(loads, state)
         if ops.flow is not None:
             network.update(state, rule.alphas)
-        trial = first_guess(solvers.model, rule, state, request, creeps(solvers.model))
+        trial = self._foreseen(rule, state, request)
         for reached in trials:
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
@@ -266,6 +266,17 @@ class SingleStep:
         """Work that friction of all sections misses in a step [energy per thickness]. Collective."""
         joints, comm = self.solvers.model.operators.joints, self.solvers.model.operators.layout.comm
         return float(comm.allreduce(work_missed(joints.weights, state.sections, new.sections)))
+
+    def _foreseen(self, rule: StepRule, state: State, request: StepRequest) -> Guess | None:
+        """Motion and pressures to begin from: as the last step moved, where friction has a state; else None.
+
+        Friction grows with the logarithm of the rate. From rest Newton's method needs some iterations for each decade of it.
+        With inertia walls that went on at their velocities could end on another branch of friction that turns.
+        """
+        before = state.previous_step.velocity
+        if before is None or rule.inertia or not creeps(self.solvers.model):
+            return None
+        return before.getArray(readonly=True) * request.length, state.pressure.getArray().copy()
 
     def _checked(
         self, problem: StepProblem, new: State, loads: Loads, stores: bool

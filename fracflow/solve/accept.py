@@ -12,44 +12,12 @@ from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import taken_between
 from fracflow.model.contact_mass import follow
 from fracflow.model.operators import Operators
-from fracflow.model.setup import Model
 from fracflow.model.state import Motion, PreviousStep, State, StepReport
 from fracflow.solve.flow_round_off import flow_power
 from fracflow.solve.newton import NewtonReport
-from fracflow.solve.problem import Guess, StepProblem
-from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import Residual
 from fracflow.solve.sections import SectionProblem
-
-LEFT = 0.5  # of what the laws allow in an iteration: a guess that goes further towards closure is none
-
-
-def first_guess(model: Model, rule: StepRule, state: State, request: StepRequest, creeps: bool) -> Guess | None:
-    """This rank's motion (n,) in the step and pressures (m,) to begin from; None to begin from the state. Collective.
-
-    With inertia walls go on at their velocities. Accelerations would not help: they jump where a section begins to slide. The
-    statuses of all sections are those of the last step meanwhile, so that none slips because the guess overshot. Friction of
-    rate and state grows with the logarithm of the rate. Without inertia Newton's method needs some iterations for each
-    decade of it from rest; with it a guess breaks events. ``creeps``: whether there is any.
-    """
-    if creeps:
-        before = state.previous_step.velocity
-        moves = None if rule.inertia or before is None else before.getArray(readonly=True) * request.length
-    else:
-        holds = model.scene.method.overshoot == "hold"
-        moves = _at_its_speed(model, state, request.length) if rule.inertia and holds else None
-    return None if moves is None else (moves, state.pressure.getArray().copy())
-
-
-def _at_its_speed(model: Model, state: State, dt: float) -> Floats | None:
-    """Velocities times a step, where no section would come near the end of its closure. Collective."""
-    joints, sections, change = model.operators.joints, state.sections, state.motion.velocity.copy()
-    change.scale(dt)
-    moves: Floats = change.getArray().copy()
-    allowed = joints.step_limit(sections.strain, joints.strain(change) / LEFT, sections)
-    change.destroy()
-    is_far = bool(np.isfinite(moves).all()) and allowed >= 1.0
-    return moves if model.operators.layout.comm.allreduce(is_far, op=MPI.LAND) else None
 
 
 def start_again(problem: StepProblem) -> None:

@@ -3,7 +3,7 @@
 Pressure lets a fault of 100 m go that weakens with slip. Both runs have absorbing sides, MARGIN metres away, and cells
 of 12.5 m there. Prints for each margin the differences of slip and moment, CPU seconds of both runs, and those that
 ``fracflow check`` foresees for the event. Exit code 1 where a difference is above 2 %. The defaults take 80 CPU s.
-With ``--joints``: what the log says of the stress that an event at once leaves frozen, by joints and tips; 30 CPU s.
+With ``--joints``: an event at once, and what the log says of the stress that it leaves frozen, by joints and tips; 30 CPU s.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def scene(margin: float, is_meshed: bool) -> Scene:
 
 
 def frozen(size: float, tips: str, folder: Path) -> list[str]:
-    """Lines of the log on stress that an event of a strength that drops at once leaves frozen, with joints of a size."""
+    """Slip and moment of an event whose strength drops at once, and lines on what it leaves frozen, with joints of a size."""
     data = scene(200.0, False).model_dump(exclude_unset=True)
     data["geometry"]["size_at_fractures"], data["geometry"]["size"] = size, 25.0
     data["method"] |= {"tips": tips, "rho_infinity": 0.6}
@@ -62,9 +62,10 @@ def frozen(size: float, tips: str, folder: Path) -> list[str]:
     data["fracture"] = {"fault": {k: v for k, v in FAULT.items() if k not in laws} | {"stick_slip_ratio": 0.9}}
     data["stage"] = [{"kind": "auto", "time_step": 10.0, "end": 421.0, "dynamic_time_step": 3e-3, "at_rest": 0.1}]
     where = folder / f"{size:g}-{tips}"
-    run(Scene.from_data(data), where)
+    (found,) = (row for row in run(Scene.from_data(data), where).events if row["kind"] == "event")
+    size_of_it = f"slip {1e3 * found['slip']:.2f} mm, moment {1e-9 * found['moment']:.2f} GN m/m"
     lines = (where / "log.txt").read_text(encoding="utf-8").splitlines()
-    return [line for line in lines if "rock without a mesh; at" in line or "leaves frozen" in line]
+    return [size_of_it, *(line for line in lines if "rock without a mesh; at" in line or "leaves frozen" in line)]
 
 
 def event(margin: float, is_meshed: bool, folder: Path) -> tuple[Mapping[str, Any], float]:
