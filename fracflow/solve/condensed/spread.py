@@ -28,7 +28,9 @@ from fracflow.solve.condensed.on_one_rank import MOST_CHANGES, CondensedFlow, Co
 from fracflow.solve.linear import BROKEN, check_solution
 from fracflow.solve.sections import SectionProblem, SectionRows, SectionSolver
 
-FEWEST = 1000  # jumps that pay for the messages of ScaLAPACK: rank 0 solves for fewer
+FEWEST = 1000
+"""Jumps that pay for the messages of ScaLAPACK, where pressures are unknowns too: rank 0 solves for fewer."""
+DRY = 4  # times as many without fluid, of whose sections few are unknowns: rank 0 then keeps at most 8 (4 FEWEST)^2 bytes
 SLAB = 256  # rows of which sizes are taken at once
 Numbers = TypeVar("Numbers", Floats, Ints)
 
@@ -38,7 +40,8 @@ def sections_of(scene: Scene, operators: Operators, compliance: Floats, elastic:
 
     compliance  this rank's rows of it (s dim, S dim); ``elastic`` moduli (s, dim, dim)
     """
-    is_spread = operators.layout.comm.size > 1 and compliance.shape[1] >= FEWEST
+    fewest = FEWEST if operators.flow is not None else DRY * FEWEST
+    is_spread = operators.layout.comm.size > 1 and compliance.shape[1] >= fewest
     kind = SpreadSections if is_spread and PETSc.Sys.hasExternalPackage("scalapack") else CondensedSections
     return kind(scene, operators, compliance, elastic)
 
