@@ -30,7 +30,8 @@ from fracflow.solve.sections import SectionProblem, SectionRows, SectionSolver
 
 FEWEST = 1000
 """Jumps that pay for the messages of ScaLAPACK, where pressures are unknowns too: rank 0 solves for fewer."""
-DRY = 4  # times as many without fluid, of whose sections few are unknowns: rank 0 then keeps at most 8 (4 FEWEST)^2 bytes
+DRY = 4
+"""Times as many without fluid, where few sections are unknowns."""
 SLAB = 256  # rows of which sizes are taken at once
 Numbers = TypeVar("Numbers", Floats, Ints)
 
