@@ -24,9 +24,8 @@ NUMBER = 8.0  # bytes
 SWIFT_FROM, SWIFT_TO = 1_000, 400_000
 """Displacements between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 it factors in the same time,
 and solves in a fifth to a third of it (scripts/bench iteration)."""
-UNPIVOTED_TO = (
-    2_000  # unknowns up to which PETSc's own LU without pivots takes 0.6 of UMFPACK's time, and its solves half
-)
+UNPIVOTED_TO = 2_000
+"""Unknowns up to which PETSc's own LU without pivots takes 0.6 of UMFPACK's time, and its solves half."""
 WORTH_GRIDS = 1.5  # times less time than by factors, from which on multigrid is taken
 
 

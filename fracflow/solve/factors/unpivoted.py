@@ -14,9 +14,8 @@ from fracflow.solve.options import factors_are_meant
 from fracflow.solve.rock_cost import UNPIVOTED_TO
 
 PIVOTED, UNPIVOTED, ORDERING = "umfpack", "petsc", "amd"
-LOST = (
-    1e-9  # of the terms of a row, which factors may leave. With pivots they leave 1e-15, without mostly 1e-15 to 1e-11
-)
+LOST = 1e-9
+"""Of the terms of a row, which factors may leave. With pivots they leave 1e-15, without mostly 1e-15 to 1e-11."""
 
 
 class Unpivoted:
@@ -60,7 +59,7 @@ class Unpivoted:
 def worst_row(factors: PETSc.PC, matrix: PETSc.Mat) -> float:
     """|A x - b| over |A| |x|, the largest of all rows, where factors solve for x; infinite without a number.
 
-    b is the product of A with signs that follow each other as if at random.
+    b is the product of A with signs that follow each other as if at random. Collective.
     """
     signs, result = matrix.createVecs()
     count = signs.getLocalSize()
