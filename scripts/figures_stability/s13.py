@@ -6,7 +6,7 @@ by as much as slip over D_c leaves (V dt/D_c)^2/24 of its slip. Equal joints tak
 (``fracflow.elements.dislocation``). The one that counts is chosen, so that errors agree: sqrt(2) times as long as that whose
 quarter is the zone 9 pi/32 L_b in which the state evolves, k = 1.26/L_b.
 
-By the slip law the state falls over D_c/ln(V theta/D_c) at the front of slip, here a ninth of D_c. The order shows on joints
+By the slip law the state falls over D_c/ln(V0 theta/D_c) at the front of slip, here a ninth of D_c. The order shows on joints
 that are shorter than L_b/9: potency is compared on three meshes about that length.
 """
 
