@@ -184,7 +184,7 @@ def _end_contexts() -> None:
             solver.getPC().setType("none")
 
 
-def summed(here: Any, comm: MPI.Comm) -> Any:
+def sum_over_ranks(here: Any, comm: MPI.Comm) -> Any:
     """The sum of an array over all ranks; on one rank itself, since MPI would pack and unpack it. Collective."""
     return here if comm.size == 1 else comm.allreduce(here, op=MPI.SUM)
 
@@ -196,4 +196,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "summed", "timed"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "sum_over_ranks", "timed"]

@@ -108,8 +108,8 @@ def transient(view: CheckInput) -> Number:
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
     remedy, longer = "the fixed point (4.5) may diverge, and smaller steps make it worse: ", value / limit
-    rings, _, rung = _worst_ringing(view)
-    if rung is not None and rung.is_trapezoid and rings * longer > 1.0:
+    rings, _, ringing_stage = _worst_ringing(view)
+    if ringing_stage is not None and ringing_stage.is_trapezoid and rings * longer > 1.0:
         remedy += 'steps long enough for it would make pressures ring: set method.coupling = "monolithic"'
     else:
         needed = view.scene.time_text(stage.time_step * longer, 2)

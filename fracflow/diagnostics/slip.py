@@ -164,7 +164,7 @@ def _finer(view: CheckInput, joint: int, share: float) -> str:
 def _state_lengths(view: CheckInput) -> tuple[Floats, Floats]:
     """L_b = mu* D_c/(b sigma), and h* = 2 mu* b D_c/(pi (b - a)^2 sigma) where b > a (j, 2); NaN elsewhere [length].
 
-    By the slip law theta falls over D_c/ln(V theta/D_c) at a front, and that stands for D_c in L_b.
+    By the slip law theta falls over D_c/ln(V0 theta/D_c) at a front, and that stands for D_c in L_b.
     """
     joints = view.joints
     b, weakens = joints.evolution, joints.evolution > joints.direct

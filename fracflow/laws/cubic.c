@@ -13,7 +13,7 @@ static int has_front(const double *opening, double rest) {
 }
 
 /* Of n elements: openings, apertures and least apertures (n, 2), 12 mu L (n,), apertures at rest (n,) or NULL. In ``found``
-   follow conductances (n,) and slopes (n, 2). Returns the number of elements with a front; it ends at the first. */
+   follow conductances (n,) and slopes (n, 2). Returns 1 at the first element with a front, where it ends; else 0. */
 int32_t fracflow_cubic(int32_t n, const double *opening, const double *aperture, const double *least, const double *resists,
                        const double *rest, double *found) {
   double *slope = found + n;

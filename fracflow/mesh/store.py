@@ -16,7 +16,7 @@ from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
-from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
+from fracflow.storage.sealed import AGAIN, SealedFile, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
 MOST_CUTS = 12
@@ -51,6 +51,12 @@ def load_mesh(path: Path, root: str = "") -> SplitMesh:
 def mesh_root(path: Path) -> str:
     """The root of a mesh's seal, empty where it has none. Raises InputError as ``load_mesh`` does."""
     return read_sealed(path, _NO_MESH, names=()).root
+
+
+def has_cells(path: Path) -> bool:
+    """Whether a saved mesh has cells, and not walls of rock without a mesh alone; no values are read. Raises InputError."""
+    _, shape = SealedFile(path, _NO_MESH).layout.get("cells", ("", ()))
+    return shape[1:] != (2,)
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: str) -> Any:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy, summed
+from fracflow._petsc import PETSc, destroy, sum_over_ranks
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
@@ -52,7 +52,7 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
     sent = ops.joints.radiated(old.sections, new.sections, LawStep(new.time, dt, scheme.inertia))
     work = joint_work(ops.joints.weights, old.sections, new.sections)
-    of_joints = summed(np.append(work, ops.joints.weights @ sent), ops.layout.comm)
+    of_joints = sum_over_ranks(np.append(work, ops.joints.weights @ sent), ops.layout.comm)
     parts |= joint_parts(of_joints[:5]) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
     parts["friction"] -= of_joints[5]
     parts["radiated"] = parts.get("radiated", 0.0) + of_joints[5]

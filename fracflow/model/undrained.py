@@ -30,7 +30,7 @@ class Closure:
     by       "walls": it keeps its volume. "fluid": it keeps its compressible fluid. "level": it keeps its mean pressure,
              as its walls cannot move. So does one node pinched on all sides, which must be free to open again
     row      local number of the node on the rank that owns it, empty elsewhere
-    weights  change of the volume with the displacements, those that it may depend on, or shares of the pressures in the mean
+    weights  at each displacement that the volume depends on, its change with it; for "level" shares of pressures in the mean
     size     of a volume, by which that of "walls" and "fluid" is divided [area]
     number   of the flow node that has the row, the same on every rank
     nodes    (n,) numbers of the flow nodes of the component on this rank
@@ -116,8 +116,8 @@ def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
 class SummedBalances:
     """Components in which the sum of all balances takes the place of that of one node, their root.
 
-    A row is divided by the size of flows, as others are, and by the ratio of alpha_1 times a volume to it, called ``rate``
-    times ``sizes`` here. So it is of the size of other rows, however slow the storage is.
+    Such a row is divided by alpha_1 times a volume of ``sizes``; others are divided by the size of flows. ``rate`` below is
+    alpha_1 over that size. So the row is of the size of others, however slow the storage is.
 
     members  1 in the row of each root, at the flow nodes of its component; other rows are empty
     roots    (r,) local numbers of the roots on this rank

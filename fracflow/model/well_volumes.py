@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import MPI, summed
+from fracflow._petsc import MPI, sum_over_ranks
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import room_between
@@ -109,7 +109,7 @@ def _sums(
         *(float(beyond[nodes].sum()) for _, nodes in rated),
         *(float(rest[part.numbers].sum()) for part in wells.loads.pressures),
     ]
-    whole = wells.depth * summed(np.array(here), ops.layout.comm)
+    whole = wells.depth * sum_over_ranks(np.array(here), ops.layout.comm)
     found = dict.fromkeys(
         [*(name for name, _ in rated), *(part.well or FRACTURES for part in wells.loads.pressures)], 0.0
     )

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomllib
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.mesh.store import has_cells
 from fracflow.output.drawing.axes import axis_of, shown
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
@@ -270,12 +270,11 @@ def load_run_data(folder: str | Path) -> RunData:
 
 
 def _is_meshed(folder: Path) -> bool:
-    """Whether the rock of a run has a mesh from the start, by its scene."""
+    """Whether the rock of a run has a mesh from the start: the plan may have left out that of the scene."""
     try:
-        geometry = tomllib.loads(read_text(folder / "scene.toml", "look at the file")).get("geometry", {})
-    except (InputError, tomllib.TOMLDecodeError, RecursionError):
+        return has_cells(folder / "mesh.h5")
+    except InputError:
         return True
-    return not isinstance(geometry, dict) or geometry.get("domain") != "unbounded"
 
 
 def _log(folder: Path) -> list[str]:

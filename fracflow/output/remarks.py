@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any
 
 MESH_OF_EVENTS = "mesh of events"  # the part of a plan that a run adds once an event has meshed its rock
-RESULT = "which is frozen"  # in a line that states how much a change of rock leaves frozen
+FROZEN = "which is frozen"  # in a line that states how much a change of rock leaves frozen
 MOST_RESULTS = 6
 _COORDINATE = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 _LIMIT = re.compile(
@@ -26,7 +26,7 @@ def alike(lines: Iterable[str]) -> list[str]:
     found: dict[str, list[str]] = {}
     results = 0
     for line in lines:
-        is_result = RESULT in line and results < MOST_RESULTS and line not in found
+        is_result = FROZEN in line and results < MOST_RESULTS and line not in found
         results += is_result
         found.setdefault(line if is_result or line in found else _DIFFERS.sub("#", line)[:120], []).append(line)
     return [group[0] + (f" (and {len(group) - 1} more like it)" if len(group) > 1 else "") for group in found.values()]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, summed
+from fracflow._petsc import MPI, sum_over_ranks
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model.flow import Conduction
@@ -295,7 +295,7 @@ class StateSampler:
             return {}
         pressure, source = (vector.getArray(readonly=True) for vector in (state.pressure, state.forces.source))
         here = np.array([[len(n), pressure[n].sum(), source[n].sum()] for n in wells.values()])
-        count, total, entering = summed(here, self.sampler.operators.blocks.comm).T
+        count, total, entering = sum_over_ranks(here, self.sampler.operators.blocks.comm).T
         return dict(zip(wells, zip((total / count).tolist(), entering.tolist(), strict=True), strict=True))
 
     def fields(self, columns: Columns) -> Floats | None:

@@ -15,7 +15,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
-from fracflow.output.remarks import RESULT
+from fracflow.output.remarks import FROZEN
 from fracflow.reduction.decision import tolerance_of
 from fracflow.remarks import marked, note
 from fracflow.scene.units import ENERGY, STRESS
@@ -42,9 +42,8 @@ class Rocks:
         event_seal  of that mesh, where an earlier event has left it in the run folder
         """
         self._unmeshed, self._meshed, self._event_seal = first, meshed, event_seal
-        self._left: dict[
-            bool, PETSc.Vec
-        ] = {}  # is meshed -> forces of the initial stress, as the run last left that rock
+        # is meshed -> forces of the initial stress, as the run last left that rock
+        self._left: dict[bool, PETSc.Vec] = {}
         self._unslipped: Unslipped | None = None
         self.now = first
         if event_seal:
@@ -105,18 +104,18 @@ class Rocks:
         ops, scene, sizes = new.operators, new.scene, new.operators.blocks.sizes
         units, stored = scene.unit_names, found.state.energy["rock_strain"]
         rock = f"meshed rock: {sizes.cells} cells, {sizes.nodes} nodes" if is_event else "rock without a mesh"
-        known, first = self._left.get(is_event), self._meshed if is_event and self._meshed else self._unmeshed
-        frozen = frozen_since(ops, known or first.operators.prestress)
-        most, in_all = (
+        untouched = self._meshed if is_event and self._meshed else self._unmeshed
+        frozen = frozen_since(ops, self._left.get(is_event) or untouched.operators.prestress)
+        by_this, in_all = (
             f"{shown(STRESS, mean, units, 3)} in the mean, {shown(STRESS, most, units, 3)} at the most"
             for mean, most in (as_traction(ops, frozen), (found.mean, found.most))
         )
-        so_far = "" if in_all == most else f"; with what was frozen before {in_all}"
+        so_far = "" if in_all == by_this else f"; with what was frozen before {in_all}"
         energy, share = shown(ENERGY, found.energy, units, 3), abs(found.energy / stored) if stored else 0.0
         lines = [
             note(
-                f"{rock}; at the same jumps its stress on the fractures differs by {most},"
-                f" {RESULT}{so_far}; its strain energy by {energy}, {share:.2g} of it: energy/change_of_rock"
+                f"{rock}; at the same jumps its stress on the fractures differs by {by_this},"
+                f" {FROZEN}{so_far}; its strain energy by {energy}, {share:.2g} of it: energy/change_of_rock"
             )
         ]
         if not is_event and self._unslipped is None:

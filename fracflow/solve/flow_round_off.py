@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc, summed
+from fracflow._petsc import MPI, PETSc, sum_over_ranks
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Conduction
@@ -57,7 +57,7 @@ def flow_power(
     work = np.where(np.abs(drawn) > BEYOND * blurred, np.abs(drawn * driving[given]), 0.0)
     here = np.array([_powers(operators, conduction).sum(), work.sum()])
     noise.destroy()
-    return float(summed(here, operators.layout.comm).max())
+    return float(sum_over_ranks(here, operators.layout.comm).max())
 
 
 def _powers(operators: Operators, conduction: Conduction) -> Floats:

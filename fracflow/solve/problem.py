@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy, summed, timed
+from fracflow._petsc import PETSc, destroy, sum_over_ranks, timed
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
@@ -364,7 +364,7 @@ class StepProblem:
         if self.loads.summed is not None:
             left = self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
         here = np.array([left @ driving, spent + brought])
-        missed, power = summed(here, self.operators.layout.comm)
+        missed, power = sum_over_ranks(here, self.operators.layout.comm)
         largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
         return abs(dt * float(missed)) / max(largest, TINY)
 

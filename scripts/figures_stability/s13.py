@@ -1,12 +1,12 @@
 """S13: which steps and joints slow slip by rate-and-state friction needs, over dt V/D_c and h/L_b.
 
 A short fault in rock that is not meshed slips slowly as pressure rises at its middle (a > b). The error is the larger of
-potency and largest rate, against the finest joints and steps. Predicted, from the numbers alone: a step in which ln V changes
+potency and largest rate, against the finest joints and steps. Predicted, with k chosen: a step in which ln V changes
 by as much as slip over D_c leaves (V dt/D_c)^2/24 of its slip. Equal joints take (k h)^2/6 off the stiffness against a wave
-(``fracflow.elements.dislocation``). The one that counts is taken to be sqrt(2) times as long as that whose quarter is the zone
-9 pi/32 L_b in which the state evolves: k = 1.26/L_b.
+(``fracflow.elements.dislocation``). The one that counts is chosen, so that errors agree: sqrt(2) times as long as that whose
+quarter is the zone 9 pi/32 L_b in which the state evolves, k = 1.26/L_b.
 
-By the slip law the state falls over D_c/ln(V theta/D_c) at the front of slip, here a ninth of D_c. The order shows on joints
+By the slip law the state falls over D_c/ln(V0 theta/D_c) at the front of slip, here a ninth of D_c. The order shows on joints
 that are shorter than L_b/9: potency is compared on three meshes about that length.
 """
 
@@ -92,7 +92,7 @@ def draw(folder: Path, small: bool = False) -> list[Check]:
     )  # fmt: skip
     _map(axes["map"], grid[0], size, errors)
     _curves(axes["error"], shares, size, errors)
-    save(figure, folder, "s13", "Predicted: (V dt/D_c)^2/24 + (k h)^2/6, k = 1.26/L_b, from the parameters alone.")
+    save(figure, folder, "s13", "Predicted: (V dt/D_c)^2/24 + (k h)^2/6, k = 1.26/L_b; k alone is chosen.")
     columns = {
         "dt_rate_over_d_c": grid[0].ravel(), "joint_over_l_b": size.ravel(), "error": errors.ravel(),
         "predicted": foretold.ravel(),

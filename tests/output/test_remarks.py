@@ -2,7 +2,7 @@
 
 import pytest
 
-from fracflow.output.remarks import MOST_RESULTS, RESULT, alike, last_limit, saved
+from fracflow.output.remarks import FROZEN, MOST_RESULTS, alike, last_limit, saved
 from fracflow.remarks import bare, has_mark, marked, note, parted
 from fracflow.run_report.words import log_lines
 
@@ -42,10 +42,10 @@ def test_lines_that_differ_by_names_and_numbers_are_one():
         f"probe.{name} sits on the fracture at ({k}, 2), 0.4 m from where it was asked" for k, name in enumerate("ABC")
     ]
     assert alike([*lines, "other"]) == [f"{lines[0]} (and 2 more like it)", "other"]
-    results = [f"rock without a mesh; its stress differs by {k} MPa, {RESULT}" for k in (1, 2, 2, *range(3, 12))]
+    results = [f"rock without a mesh; its stress differs by {k} MPa, {FROZEN}" for k in (1, 2, 2, *range(3, 12))]
     shown = alike(results)
     assert shown[:2] == [results[0], f"{results[1]} (and 1 more like it)"] and len(shown) == MOST_RESULTS + 1
-    assert shown[-1] == f"rock without a mesh; its stress differs by 7 MPa, {RESULT} (and 4 more like it)"
+    assert shown[-1] == f"rock without a mesh; its stress differs by 7 MPa, {FROZEN} (and 4 more like it)"
 
 
 @pytest.mark.parametrize("head", ["", "within 5 min slip goes on by itself, and no state at rest is near: "])

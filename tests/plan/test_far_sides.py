@@ -10,6 +10,7 @@ from fracflow.errors import Interrupted
 from fracflow.mesh.data import is_unmeshed
 from fracflow.mesh.store import load_mesh
 from fracflow.output import read_events, read_history
+from fracflow.output.reader import load_run_data
 from fracflow.reduction import far_sides
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import resume, run
@@ -90,6 +91,7 @@ def test_far_sides_are_left_out(shared_tmp, dear_meshes):
             np.testing.assert_allclose(together, alone, atol=1e-10 * np.abs(alone).max())
     assert row(shared_tmp / "free")["verdict"] == "left out"
     assert is_unmeshed(load_mesh(shared_tmp / "free" / "mesh.h5").cells)
+    assert [load_run_data(shared_tmp / name).is_meshed for name in ("free", "full")] == [False, True]
     assert (
         load(shared_tmp / "free" / "scene.toml").geometry.domain
         == load(shared_tmp / "full" / "scene.toml").geometry.domain
