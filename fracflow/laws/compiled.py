@@ -1,8 +1,8 @@
-"""Laws by compiled loops: friction in the plane over sections, ``friction.c``, and the cubic law over elements, ``cubic.c``.
+"""Laws of friction in the plane by one compiled loop over sections, ``friction.c``.
 
-The laws are at home in their own files; the loops are copies of them and have their bits. Only stored energies may differ in
-the last one, since their logarithm is the C library's. Setting up makes the loops where there is a compiler, else the laws
-serve. An evaluation of friction is some hundred calls of NumPy, one of the cubic law some thirty.
+The laws are at home in their own files; the loop is a copy of them and has their bits. Only stored energies may differ in the
+last one, since their logarithm is the C library's. Setting up makes the loop where there is a compiler, else the laws serve.
+Their evaluation is some hundred calls of NumPy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from fracflow.laws.base import Floats, History, JointLaw, JointResponse, LawStep, per_section
 
-VERSION = 2  # of the functions' arguments, as in friction.c
+VERSION = 1  # of the function's arguments, as in friction.c
 _INT, _ARRAY = ctypes.c_int32, ctypes.c_void_p
 PARAMETERS = {
     "normal_stiffness": 1.0, "shear_stiffness": 1.0, "aperture": 1.0, "initial_normal_traction": 0.0,
@@ -37,15 +37,13 @@ class Evaluates(Protocol):
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """The functions; None where they were not compiled, or are those of another version."""
+    """The function; None where it was not compiled, or is that of another version."""
     for path in sorted(Path(__file__).parent.glob("_friction*.so")):
         try:
             found = ctypes.CDLL(str(path))
             if ctypes.c_int.in_dll(found, "fracflow_laws_version").value == VERSION:
                 found.fracflow_friction.restype = None
                 found.fracflow_friction.argtypes = (*[_INT] * 3, *[_ARRAY] * 7)
-                found.fracflow_cubic.restype = _INT
-                found.fracflow_cubic.argtypes = (_INT, *[_ARRAY] * 6)
                 return found
         except (OSError, ValueError, AttributeError):
             continue
@@ -104,27 +102,6 @@ class CompiledFriction:
             is_open=statuses[1],
             history=new,
         )
-
-
-class CompiledCubic:
-    """The cubic law by the exact mean, for elements without a front of opening."""
-
-    def __init__(self, aperture: Floats, least: Floats, resists: Floats, rest: Floats | None) -> None:
-        """Apertures and least apertures (n, 2), 12 mu L (n,), and apertures at rest (n,) where fronts let more through."""
-        given = (aperture, least, resists, rest)
-        self._given = [None if each is None else np.ascontiguousarray(each, dtype=float) for each in given]
-        self._at = [None if each is None else _address(each) for each in self._given]
-        compiled = library()
-        assert compiled is not None
-        self._loop = compiled.fracflow_cubic
-
-    def evaluate(self, opening: Floats) -> tuple[Floats, Floats] | None:
-        """Conductances (n,) and slopes (n, 2) at openings (n, 2); None where an element has a front."""
-        n, given = len(opening), np.ascontiguousarray(opening, dtype=float)
-        found = np.empty(3 * n)
-        if self._loop(n, _address(given), *self._at, _address(found)):
-            return None
-        return found[:n], found[n:].reshape(n, 2)
 
 
 def _address(values: Floats) -> int:

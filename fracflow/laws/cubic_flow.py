@@ -1,7 +1,4 @@
-"""Laminar flow between parallel walls: mean cubed aperture of a tapered element, and the laws of its conductance.
-
-``cubic.c`` has a compiled copy of the exact mean, which ``tests/laws/test_compiled.py`` holds to it.
-"""
+"""Laminar flow between parallel walls: mean cubed aperture of a tapered element, and the laws of its conductance."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, LawStep, Parameter
-from fracflow.laws.compiled import CompiledCubic, library
 from fracflow.laws.roughness import Roughness
 
 
@@ -130,23 +126,6 @@ class CubicLaw(FlowLaw):
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """(3.14a,e) Mean cube over 12 mu L, of openings (n, 2); arguments and results as for ``FlowLaw``."""
-        found = None if self._copy is None else self._copy.evaluate(opening)
-        return self._evaluate(opening, slip, history, step) if found is None else Conductance(*found)
-
-    @cached_property
-    def _copy(self) -> CompiledCubic | None:
-        """The compiled copy of a law that has one by itself, not by what it inherits."""
-        if not vars(type(self)).get("compiled") or library() is None or self.aperture.shape != (len(self.length), 2):
-            return None
-        least = np.broadcast_to(self.minimum_hydraulic_aperture, self.aperture.shape)
-        return CompiledCubic(self.aperture, least, self._resists, self._opens_beyond)
-
-    @property
-    def _opens_beyond(self) -> Floats | None:
-        """Apertures (n,) by which walls part before a front of opening lets more through; None where none does."""
-        return None
-
-    def _evaluate(self, opening: Floats, slip: Floats, history: History, step: LawStep) -> Conductance:
         return self._between(*self.hydraulic(opening, slip, history, step))
 
     def _between(self, hydraulic: Floats, by_opening: Floats, by_slip: Floats | None) -> Conductance:
@@ -168,7 +147,6 @@ class ExactCubic(CubicLaw):
     """Exact two-node mean of the cubed aperture, where it is linear."""
 
     mean_cube = staticmethod(exact_mean_cube)
-    compiled: ClassVar[bool] = True
 
 
 FRONT = 1.0 / 8.0
@@ -186,19 +164,13 @@ class FrontCubic(ExactCubic):
     places of the front in the element.
     """
 
-    compiled: ClassVar[bool] = True
-
     @cached_property
     def _rest(self) -> Floats:
         """Mean apertures (n,) at rest."""
         rest: Floats = self.aperture.mean(axis=1)
         return rest
 
-    @property
-    def _opens_beyond(self) -> Floats:
-        return self._rest
-
-    def _evaluate(self, opening: Floats, slip: Floats, history: History, step: LawStep) -> Conductance:
+    def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
         hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
         found, rest = self._between(hydraulic, by_opening, by_slip), self._rest

@@ -4,7 +4,7 @@
 
 #define TINY_STRENGTH 1e-9 /* ``friction.TINY_STRENGTH`` */
 
-const int fracflow_laws_version = 2;
+const int fracflow_laws_version = 1;
 
 /* ``closure._minus_log`` */
 static double minus_log(double x) {

@@ -30,6 +30,7 @@ def test_small_bench_keeps_its_bars_and_tells_a_missed_one(tmp_path):
     assert any(float(row["newton_sliding"]) > 0 for row in rows), "the scene slips"
 
 
+@pytest.mark.serial
 @pytest.mark.starts_ranks
 def test_rank_0_and_all_ranks_solve_for_the_same_sections():
     words = [sys.executable, ROOT / "scripts/benches/condensed_ranks.py", "16", "--steps", "2", "--fluid"]

@@ -1,4 +1,4 @@
-"""The compiled copies of the laws of friction and of the cubic law: the bits of the laws themselves."""
+"""The compiled copy of the laws of friction: the bits of the laws themselves, wherever sections are."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from fracflow.laws import HyperbolicCoulomb, SlipWeakening
 from fracflow.laws.base import LawStep
 from fracflow.laws.compiled import CompiledFriction, fastest, library
-from fracflow.laws.cubic_flow import ExactCubic, FrontCubic
 
 pytestmark = [pytest.mark.serial, pytest.mark.skipif(library() is None, reason="loops are not compiled here")]
 SECTIONS = 4000
@@ -78,25 +77,3 @@ def test_others_serve_themselves():
     law = law_of(HyperbolicCoulomb, {})
     own = law_of(Own, {})
     assert fastest(law, SECTIONS, 3) is law and fastest(own, SECTIONS, 2) is own
-
-
-@pytest.mark.parametrize("kind", [ExactCubic, FrontCubic])
-@pytest.mark.parametrize("least", [0.0, 0.4])
-def test_conductances_have_the_bits_of_the_cubic_law(kind, least):
-    """Ends open, shut, below their least aperture, and no number. A law that inherits has no copy, nor has a front."""
-    rng = np.random.default_rng(3)
-    aperture, opening = rng.uniform(0.5, 1.0, (SECTIONS, 2)), rng.uniform(-1.2, -0.3, (SECTIONS, 2))
-    opening[::500], opening[1::500] = np.nan, -aperture[1::500]
-    given = aperture, np.full_like(aperture, least), rng.uniform(1.0, 3.0, SECTIONS), 1e-3
-    law, own = kind(*given), type("Own", (kind,), {})(*given)
-    none = np.zeros((SECTIONS, 2, 0))
-    assert law._copy is not None and own._copy is None
-    assert law._copy.evaluate(opening) is not None
-    mine, theirs = (each.conductance(opening, none, {}) for each in (law, own))
-    assert (theirs.value == 0.0).mean() > 0.02 or least
-    assert np.array_equal(mine.value, theirs.value, equal_nan=True)
-    assert np.array_equal(mine.by_opening, theirs.by_opening, equal_nan=True)
-    opening[7] = -0.5, 3.0
-    assert (law._copy.evaluate(opening) is None) == (kind is FrontCubic)
-    mine, theirs = (each.conductance(opening, none, {}) for each in (law, own))
-    assert np.array_equal(mine.value, theirs.value, equal_nan=True)
