@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 ACT, NOTE = "! ", "note: "
+GIVEN_UP = "step given up: "  # before the error of a step in a log
 
 
 def note(line: str) -> str:

@@ -15,7 +15,7 @@ from fracflow.advance.prescribed_times import PrescribedTimes
 from fracflow.errors import NotConverged, SolveError, Unsolved
 from fracflow.model.small_strains import beyond_small_strains
 from fracflow.model.state import State, StepReport
-from fracflow.remarks import marked, note
+from fracflow.remarks import GIVEN_UP, marked, note
 from fracflow.scene.scene import Scene
 from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
@@ -153,7 +153,7 @@ class Substepped:
                 spent = spent.with_rejected(error.newton)
                 again = level + 1 <= most
                 halved = note(f"step halved: {str(error).partition(';')[0]}")
-                self.log(halved if again else marked(f"step given up: {error}"))
+                self.log(halved if again else marked(f"{GIVEN_UP}{error}"))
                 now = _Cause(str(error).partition(";")[0], type(error), error.kind)
                 last, other = now, other if now.is_like(last) else last.text
                 if again:

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from fracflow.cli.exit import ExitReport
 from fracflow.errors import InputError, Interrupted, SolveError
-from fracflow.remarks import marked
+from fracflow.remarks import ACT, GIVEN_UP, marked
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
@@ -93,6 +93,20 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool, is_new: b
         console.print(line, soft_wrap=True, markup=False)
     for path in paths:
         console.print(f"picture: {path}", soft_wrap=True, markup=False)
+    for line in warned_in(folder) if failed else ():
+        console.print(line, soft_wrap=True, markup=False)
+
+
+def warned_in(folder: Path) -> list[str]:
+    """Warnings of a run that has failed since its first stage began, those alike once; its last error says what it gave up."""
+    from fracflow.output.reader import log_of
+    from fracflow.output.remarks import alike
+    from fracflow.storage.files import shown_plain
+
+    log = log_of(folder)
+    first = next((k for k, line in enumerate(log) if line.startswith("stage ")), len(log))
+    warned = alike(line for line in log[first:] if line.startswith(ACT) and not line.startswith(f"{ACT}{GIVEN_UP}"))
+    return [shown_plain(line) for line in warned]
 
 
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:

@@ -24,7 +24,9 @@ from fracflow.model.layout import add_blocks, add_transposed, create_matrix, mat
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
+from fracflow.scene.advice import slight
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import STRESS
 
 RESPONSE = (
     "traction", "tangent", "stored", "inelastic", "strength", "utilisation", "is_sliding", "is_open", "margin",
@@ -380,11 +382,12 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
     return tuple(groups)
 
 
-def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, carried: bool) -> None:
+def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, scene: Scene) -> None:
     """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective.
 
-    initial (s, dim) tractions. With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
+    initial (s, dim) tractions. A fracture past its strength may slip as a dynamic stage begins, where that carries it.
     """
+    carried = scene.carries_unbalanced
     fracture = np.repeat(blocks.joints.fracture, points)
     tension = set(fracture[initial[:, -1] > 1e-12 * np.abs(initial).max(initial=0.0)].tolist())
     failed: set[int] = set()
@@ -396,10 +399,13 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
     bad_failed = sorted({names[i] for part in blocks.comm.allgather(failed) for i in part})
     if bad_tension:
+        most = max(blocks.comm.allgather(float(initial[:, -1].max(initial=0.0))))
+        units = "".join(f"; {line}" for line in slight(scene))
         raise InputError(
-            f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}: compress the rock"
-            " (initial_stress; compression is negative), lower fluid.initial_pressure, give initial_normal_traction <= 0,"
-            ' or let a first [[stage]] with kind = "equilibrate" open them'
+            f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}, by up to {most:.3g}"
+            f"{scene.unit_system.behind(STRESS)}: compress the rock (initial_stress; compression is negative), lower"
+            " fluid.initial_pressure, give initial_normal_traction <= 0, or let a first [[stage]] with kind ="
+            f' "equilibrate" open them{units}'
         )
     if bad_failed:
         raise InputError(
@@ -417,7 +423,7 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     initial = initial_tractions(blocks, scene, xi)
     groups = law_groups(blocks, scene, initial, xi)
     if not scene.equilibrates:
-        refuse_bad_start(blocks, groups, initial, len(xi), scene.carries_unbalanced)
+        refuse_bad_start(blocks, groups, initial, len(xi), scene)
     jump = jump_matrix(blocks, xi, expand)
     sizes = entry_sizes(jump)
     return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)

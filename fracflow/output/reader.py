@@ -264,7 +264,7 @@ def load_run_data(folder: str | Path) -> RunData:
         has_dynamics=bool(len(dynamic)),
         status=read_status(folder),
         energy_noise=_number(attrs.get("energy_noise")) * len(history["time"]),
-        limit=last_limit(_log(folder)),
+        limit=last_limit(log_of(folder)),
         is_meshed=_is_meshed(folder),
     )
 
@@ -277,7 +277,7 @@ def _is_meshed(folder: Path) -> bool:
         return True
 
 
-def _log(folder: Path) -> list[str]:
+def log_of(folder: Path) -> list[str]:
     """The lines of the log; none where it cannot be read."""
     try:
         return read_text(folder / "log.txt", "look at the file").splitlines()

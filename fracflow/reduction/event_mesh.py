@@ -122,17 +122,22 @@ def nearness(extent: float, margin: float) -> float:
 
 
 def too_much_frozen(scene: Scene, share: float, limit: float) -> str:
-    """A warning that an event has left frozen tractions of more than the ``limit`` of its stress drop, with the remedy."""
+    """A warning that an event has left frozen tractions of more than the ``limit`` of its stress drop, with the remedy.
+
+    share  infinite where no stress dropped
+    """
     assert scene.geometry is not None
     size, unit = scene.geometry.size_at_fractures or scene.geometry.size, scene.unit_system.behind(LENGTH)
-    finer = "smaller joints"
-    if size is not None:
-        size /= 2**scene.refine  # bench event_mesh --joints: half of it leaves 0.56 to 0.74
-        finer = f"joints of {0.5 * size:.3g}{unit}, half as long, leave about two thirds of it"
+    part, finer = "stands beside no drop of stress", "a smaller geometry.size_at_fractures"
+    if np.isfinite(share):
+        part = f"is {share:.2g} of its stress drop, weighted by slip"
+        if size is not None:
+            size /= 2**scene.refine  # bench event_mesh --joints: half of it leaves 0.56 to 0.74
+            finer = f"joints of {0.5 * size:.3g}{unit}, half as long (geometry.size_at_fractures), leave about two thirds of it"
     first = 'method.tips = "corrected" and ' if scene.method.tips == "plain" else ""
     return (
-        f"the stress that this event leaves frozen is {share:.2g} of its stress drop, weighted by slip, and the tolerance is"
-        f" {limit:g}: cells at the ends of its slip are too stiff: {first}{finer}; waves that are left count too (at_rest)"
+        f"the stress that this event leaves frozen {part}, and accuracy.tolerance is {limit:g}: cells at the ends of its"
+        f" slip are too stiff: {first}{finer}; waves that are left count too (at_rest)"
     )
 
 

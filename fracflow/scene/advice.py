@@ -386,9 +386,9 @@ def _transit(scene: Scene) -> float | None:
     return size / 2**geometry.refine * slowness
 
 
-def _slight(scene: Scene) -> Iterator[str]:
+def slight(scene: Scene) -> Iterator[str]:
     """An initial stress that is next to nothing beside rock and joints: MPa may have been written as Pa."""
-    stress = scene.initial_stress
+    stress = scene.initial_stress if scene.units != "none" else None
     stiff = max((rock.youngs_modulus or 0.0 for rock in scene.rock.values()), default=0.0) * scene.unit_system.to_si(
         STRESS
     )
@@ -405,7 +405,7 @@ def _slight(scene: Scene) -> Iterator[str]:
 
 
 def _unusual(scene: Scene) -> Iterator[str]:
-    yield from _slight(scene)
+    yield from slight(scene)
     tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
     tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
     leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]

@@ -17,7 +17,7 @@ from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
 from fracflow.output.remarks import FROZEN
 from fracflow.reduction.decision import tolerance_of
-from fracflow.remarks import marked, note
+from fracflow.remarks import marked, note, parted
 from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
 from fracflow.simulation.recorder import Recorder
@@ -78,6 +78,7 @@ class Rocks:
         recorder.hand_over(new, found.state.time, needed.why, found.most)
         for line in lines:
             recorder.log(marked(line))
+        recorder.totals.doubts += parted(lines)[0]
         inside = [name for name, place in new.placed.probes.items() if isinstance(place, RockPlace)]
         if inside:
             sides = (
@@ -123,7 +124,7 @@ class Rocks:
         elif self._unslipped is not None:
             part, limit = self._unslipped.share(ops, found.state, frozen), tolerance_of(scene)
             if part > limit:
-                lines.append(too_much_frozen(scene, part, limit))
+                lines.append(f"time {scene.time_text(found.state.time)}: {too_much_frozen(scene, part, limit)}")
         frozen.destroy()
         return lines
 

@@ -10,6 +10,7 @@ import pytest
 from pages import ROOT
 
 from fracflow.cli.exit import abort
+from fracflow.cli.run import warned_in
 
 pytestmark = pytest.mark.serial
 RAISED = {"InputError", "SolveError", "fault"}
@@ -83,3 +84,17 @@ def test_a_fault_in_a_script_names_its_line(tmp_path, monkeypatch, capsys):
             with pytest.raises(SystemExit) as end:
                 abort()
         assert end.value.code == 1 and says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_failed_run_repeats_what_its_log_warned_of(tmp_path):
+    """From its first stage on: a terminal has shown those before it, and has the error of the last step."""
+    lines = (
+        "! before",
+        "stage 0 (draw) from time 0",
+        "! time 2 s: below zero",
+        "note: later",
+        "! step given up: at 3 s",
+    )
+    (tmp_path / "log.txt").write_text("\n".join(lines), encoding="utf-8")
+    assert warned_in(tmp_path) == ["! time 2 s: below zero"]
+    assert warned_in(tmp_path / "none") == []
