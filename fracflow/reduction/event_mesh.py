@@ -28,6 +28,7 @@ from fracflow.scene.terms import Absorbing
 from fracflow.scene.units import LENGTH
 
 MARGIN = 2.0  # of the larger extent of all fractures: rock between them and the sides
+MUCH_FROZEN = 0.1  # of the stress drop of an event
 PER_EXTENT = 8.0  # cells far away, over that extent: ten in a wave of the corner frequency of slip along all of it
 
 
@@ -121,9 +122,10 @@ def nearness(extent: float, margin: float) -> float:
     return (0.5 * extent / max(margin, 0.5 * extent)) ** 2
 
 
-def too_much_frozen(scene: Scene, share: float, limit: float) -> str:
-    """A warning that an event has left frozen tractions of more than the ``limit`` of its stress drop, with the remedy.
+def stress_left_frozen(scene: Scene, when: str, share: float) -> str:
+    """A line on the ``share`` of its stress drop that an event has left frozen; a warning, with the remedy, above MUCH_FROZEN.
 
+    when   the end of the event, in words
     share  infinite where no stress dropped
     """
     assert scene.geometry is not None
@@ -134,10 +136,12 @@ def too_much_frozen(scene: Scene, share: float, limit: float) -> str:
         if size is not None:
             size /= 2**scene.refine  # bench event_mesh --joints: half of it leaves 0.56 to 0.74
             finer = f"joints of {0.5 * size:.3g}{unit}, half as long (geometry.size_at_fractures), leave about two thirds of it"
+    line = f"time {when}: the stress that this event leaves frozen {part}"
+    if share <= MUCH_FROZEN:
+        return note(line)
     first = 'method.tips = "corrected" and ' if scene.method.tips == "plain" else ""
     return (
-        f"the stress that this event leaves frozen {part}, and accuracy.tolerance is {limit:g}: cells at the ends of its"
-        f" slip are too stiff: {first}{finer}; waves that are left count too (at_rest)"
+        f"{line}: cells at the ends of its slip are too stiff: {first}{finer}; waves that are left count too (at_rest)"
     )
 
 

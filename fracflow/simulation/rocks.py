@@ -16,7 +16,6 @@ from fracflow.model.operators import Operators
 from fracflow.model.setup import Model, on_root
 from fracflow.output.drawing.axes import shown
 from fracflow.output.remarks import FROZEN
-from fracflow.reduction.decision import tolerance_of
 from fracflow.remarks import marked, note, parted
 from fracflow.scene.units import ENERGY, STRESS
 from fracflow.simulation.files import EVENT_MESH
@@ -100,7 +99,7 @@ class Rocks:
     def _differences(self, new: Model, found: Handed, is_event: bool) -> list[str]:
         """Lines on the stress that is frozen in a new rock, which its first state has, and the strain energy. Collective."""
         from fracflow.advance.event_rock import as_traction, frozen_since
-        from fracflow.reduction.event_mesh import too_much_frozen
+        from fracflow.reduction.event_mesh import stress_left_frozen
 
         ops, scene, sizes = new.operators, new.scene, new.operators.blocks.sizes
         units, stored = scene.unit_names, found.state.energy["rock_strain"]
@@ -122,9 +121,8 @@ class Rocks:
         if not is_event and self._unslipped is None:
             lines.append(note("the run was resumed amid this event: that stress is not compared with its stress drop"))
         elif self._unslipped is not None:
-            part, limit = self._unslipped.share(ops, found.state, frozen), tolerance_of(scene)
-            if part > limit:
-                lines.append(f"time {scene.time_text(found.state.time)}: {too_much_frozen(scene, part, limit)}")
+            part = self._unslipped.share(ops, found.state, frozen)
+            lines.append(stress_left_frozen(scene, scene.time_text(found.state.time), part))
         frozen.destroy()
         return lines
 
