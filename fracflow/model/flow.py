@@ -98,6 +98,12 @@ class Conduction:
             slope[:, here, here] += self.leaving.by_aperture
         return between, slope
 
+    def of_ends(self, storing: float) -> tuple[Floats, Floats]:
+        """The same (j, 2) of what each end takes up or loses itself, without flow from end to end."""
+        here, alone = np.arange(2), replace(self, conductance=np.zeros_like(self.conductance))
+        between, slope = alone.held().tangents(storing)
+        return between[:, here, here], slope[:, here, here]
+
 
 @dataclass(frozen=True)
 class Flow:

@@ -17,7 +17,7 @@ from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.flow import Compression, Conduction
+from fracflow.model.flow import Conduction
 from fracflow.model.joints import section_groups
 from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
@@ -315,8 +315,10 @@ class JoinedMatrix:
                     change = np.einsum("nt,ntk->nk", conduction.by_slip[joint, end], along)
                     values = drop[joint][:, :, None] * change[:, None, :]
                     add_blocks(matrix, nodes[joint], unknowns, flow_solid * values)
-            if conduction.compression is not None and (self._fluids or self._summed is not None):
-                self._keep_fluid(free, conduction.compression, alphas)
+            if self._summed is not None:
+                self._keep_fluid(free, *(each / alphas.a1 for each in conduction.of_ends(alphas.b1)))
+            elif self._fluids and conduction.compression is not None:
+                self._keep_fluid(free, conduction.compression.weight, conduction.compression.slope)
         matrix.assemble()
 
     @contextmanager
@@ -384,14 +386,12 @@ class JoinedMatrix:
         starts, columns, rows = self._changing
         matrix.setValuesIJV(starts, columns, values, PETSc.InsertMode.INSERT, rows)
 
-    def _keep_fluid(self, free: FreePart, stored: Compression, alphas: Alphas) -> None:
-        """Add what compression does to the rows that keep the fluid of a part, or balance it as volumes: rates / alpha_1."""
+    def _keep_fluid(self, free: FreePart, by_pressure: Floats, by_opening: Floats) -> None:
+        """Add what the fluid at joint ends (j, 2) does to the rows that keep that of a part, or balance it as volumes."""
         scales, size = self.operators.scales, self._kept.ravel()
-        if self._summed is not None:
-            size = size * np.where(self._summed.root_at >= 0, alphas.a1 / alphas.b1, 1.0).ravel()
-        rows, values = free.keeping.reshape(-1, 1), stored.weight.ravel() * scales.pressure / size
+        rows, values = free.keeping.reshape(-1, 1), by_pressure.ravel() * scales.pressure / size
         add_blocks(self.matrix, rows, free.flow_nodes.reshape(-1, 1), values[:, None, None])
-        values = stored.slope.ravel() * scales.displacement / size
+        values = by_opening.ravel() * scales.displacement / size
         for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
             add_blocks(self.matrix, rows[ends], unknowns, (values[ends, None] * normal)[:, None, :])
 

@@ -313,6 +313,8 @@ class StepProblem:
         if moved is not None:
             known += network.at_nodes(round_off_of_volumes(network, moved, self.alphas.a1))
         taken = stored if self.taken_up is None else stored + self.taken_up
+        if self.conduction.leaving is not None:  # at a given rate, which settles no pressure
+            taken = taken + network.at_nodes(self.conduction.leaving.rate)
         roots = summed.roots
         kept = self.flow_balance.getArray(), self._flow_noise, self._flow_rows
         for values, of_storage in zip(kept, (taken, known, rows), strict=True):

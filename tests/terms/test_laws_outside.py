@@ -118,6 +118,7 @@ SCENES = {
     "along": film("steady", wells={0.0: 2.0}),
     "seeps": seeping("steady", 0.5, {0.0: 2.0}),
     "seeps more": seeping("steady", 0.5, {0.0: 1.0}),
+    "seeps for long": seeping("quasi-static", 0.125, {0.0: 2.0}).replace("conductance = 1\n", "conductance = 1e8\n"),
     "seeps from the start": seeping("dynamic", 0.5, {}),
 }
 
@@ -259,6 +260,14 @@ def test_a_given_rate_leaves_the_level_open(ran):
     assert ran["seeps"]["probe/far/pressure"][-1] == pytest.approx(share @ drops - drops[-1], rel=1e-10)
     assert ran["seeps"]["volume/seepage"][-1] == pytest.approx(2.0 * 3.0, rel=1e-12)
     assert ran.closes("seeps")
+
+
+def test_a_given_rate_counts_where_little_is_stored(ran):
+    """4 p = (2 - 4 0.125) t: all that the film stores is 1e-8 of what it conducts, so that its balances are summed."""
+    found = ran["seeps for long"]
+    assert found["probe/far/pressure"] == pytest.approx((2.0 - 0.5) * found["time"] / 4.0, rel=1e-7)
+    assert found["volume/seepage"][-1] == pytest.approx(1.5, rel=1e-12)
+    assert ran.closes("seeps for long")
 
 
 @pytest.mark.starts_ranks
