@@ -37,7 +37,7 @@ class CondensedSections(SectionSolver):
 
     def __init__(self, scene: Scene, operators: Operators, compliance: Floats, elastic: Floats) -> None:
         """Bring this rank's rows (s dim, S dim) of the ``compliance`` to rank 0; moduli (s, dim, dim). Collective."""
-        clusters = _one_cluster(compliance, len(elastic), operators.layout.comm)
+        clusters = _one_cluster(compliance, elastic.shape[:2], operators.layout.comm)
         super().__init__(scene, operators, clusters, elastic)
         self._like = alike(operators, clusters.exchange)
 
@@ -71,14 +71,15 @@ def alike(operators: Operators, exchange: Exchange) -> Ints:
     return np.asarray(index[inverse.ravel()], np.int64)
 
 
-def _one_cluster(compliance: Floats, here: int, comm: MPI.Comm) -> Clusters:
-    """All sections of all ranks, of which this one has ``here``, as one cluster that rank 0 solves for. Collective."""
+def _one_cluster(compliance: Floats, shape: tuple[int, ...], comm: MPI.Comm) -> Clusters:
+    """All sections of all ranks, of this one ``shape`` = (s, dim), as one cluster that rank 0 solves for. Collective."""
+    here, dim = shape
     counts = np.array(comm.allgather(here), dtype=np.int64)
     sent, received = np.zeros(comm.size, dtype=np.int64), np.zeros(comm.size, dtype=np.int64)
     sent[0] = here
     if comm.rank == 0:
         received = counts
     exchange = Exchange(comm, np.arange(here), sent, received)
-    whole = exchange.there(compliance.reshape(here, -1)).reshape(-1, compliance.shape[1])
+    whole = exchange.there(compliance.reshape(here, dim * compliance.shape[1])).reshape(-1, compliance.shape[1])
     all_sections = np.arange(counts.sum())[None]
     return Clusters(exchange, (Batch(all_sections, whole[None]),) if comm.rank == 0 else ())

@@ -131,8 +131,8 @@ class SpreadSections(SectionSolver):
         summed = _of_all_ranks(summed.ravel(), comm).reshape(-1, dim, dim)
         first_jumps = _of_all_ranks(self._jumps[comm.rank] + there * dim, comm)
         columns = (first_jumps[:, None] + np.arange(dim)).ravel()
-        by_section = self._compliance[:, columns].reshape(len(self._compliance), -1, dim)
-        pulled = np.einsum("xmi,mij->xmj", by_section, summed).reshape(len(self._compliance), -1)
+        by_section = self._compliance[:, columns].reshape(len(self._compliance), len(summed), dim)
+        pulled = np.einsum("xmi,mij->xmj", by_section, summed).reshape(len(self._compliance), len(columns))
         return there, pulled, int(starts[comm.rank]), int(starts[-1])
 
     def _of_flow(
