@@ -19,8 +19,7 @@ from typing import Any
 import gmsh
 import numpy as np
 
-from fracflow.mesh.files.msh2 import read_msh2
-from fracflow.mesh.files.others import CORNERS, read_other
+from fracflow.mesh.files.sets import CORNERS, Found
 
 GRACE = 5  # seconds of CPU time
 PR_SET_PDEATHSIG = 1  # of prctl
@@ -33,10 +32,7 @@ def main(folder: Path) -> int:
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     keep_within(job["seconds"], job["memory"], job["parent"])
     try:
-        if "meshio" in job:
-            arrays = _arrays(*read_other(Path(job["meshio"])))
-        else:
-            arrays = _arrays(*read_msh2(Path(job["msh2"]))) if "msh2" in job else with_gmsh(job)
+        arrays = _arrays(*_by_meshio(job)) if "meshio" in job or "msh2" in job else with_gmsh(job)
     except Exception as error:
         (folder / "error.txt").write_text(str(error) or type(error).__name__, encoding="utf-8")
         return 1
@@ -47,6 +43,16 @@ def main(folder: Path) -> int:
         for values in arrays.values():
             file.write(np.ascontiguousarray(values).data)
     return 0
+
+
+def _by_meshio(job: dict[str, Any]) -> Found:
+    if "meshio" in job:
+        from fracflow.mesh.files.others import read_other  # imports much
+
+        return read_other(Path(job["meshio"]))
+    from fracflow.mesh.files.msh2 import read_msh2  # imports much
+
+    return read_msh2(Path(job["msh2"]))
 
 
 def keep_within(seconds: int, memory: int, parent: int) -> None:

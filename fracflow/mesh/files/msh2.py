@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fracflow.mesh.files.others import CORNERS, DIMS, MESHIO_KINDS, Found, Rows
+from fracflow.mesh.files.others import MESHIO_KINDS
+from fracflow.mesh.files.sets import CORNERS, DIMS, Found, Rows
 
 
 def read_msh2(path: Path) -> Found:

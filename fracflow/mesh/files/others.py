@@ -15,25 +15,19 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fracflow.mesh.files.abaqus import abaqus_sets, check_abaqus, read_abaqus
 from fracflow.mesh.files.exodus import exodus_sets
 from fracflow.mesh.files.formats import FORMATS
-from fracflow.mesh.files.sets import FileFault, Set
+from fracflow.mesh.files.sets import CORNERS, DIMS, FileFault, Found, Rows, Set
 from fracflow.storage.files import shown_plain
 from fracflow.storage.worker import check_leads_nowhere
 
 PREFERRED = ("gmsh:physical", "medit:ref", "cell_tags")  # of several data of cells
 MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
-DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
-CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 NO_NAMES = (
     "its cells have no names: give rocks, fractures and sides sets of cells, or one array of whole numbers on them"
 )
-
-Rows = NDArray[np.int64]
-Found = tuple[NDArray[Any], dict[str, list[Rows]], dict[str, list[Rows]], list[str], list[tuple[int, int, str]]]
 
 
 def read_other(path: Path) -> Found:

@@ -83,8 +83,8 @@ fracture = [{{name = "fault", points = [[-{half}, 0], [{half}, 0]]}}]
 """
 
 
-def pushed(stress: float, size: float) -> Found:
-    """Viesca's rupture to a = LENGTH on joints ``size`` a, in a fault of 1.5 a to each side."""
+def pushed(stress: float, size: float, ramp: int = 1) -> Found:
+    """Viesca's rupture to a = LENGTH on joints ``size`` a, in a fault of 1.5 a to each side, in ``ramp`` even steps."""
     x = np.linspace(-1.5, 1.5, 2 * round(1.5 / size) + 1) * r08.LENGTH
     pressure = r08.PUMPED * erfc(np.abs(x) * r08.extent(stress) / r08.LENGTH)
     text = INJECTED.format(
@@ -93,7 +93,7 @@ def pushed(stress: float, size: float) -> Found:
         friction=r08.FRICTION, along=(x - x[0]).tolist(), value=[[0.0] * len(x), pressure.tolist()],
         size=x[1] - x[0], half=-x[0],
     )  # fmt: skip
-    return solve(text)
+    return solve(text, f"stage=[{{kind = 'steady', time_step = {1 / ramp}, steps = {ramp}}}]")
 
 
 def pressed(size: float) -> Found:
