@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 3  # of the functions' arguments, as in rock.c
+VERSION = 4  # of the functions' arguments, as in rock.c
 _INT, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 13, _REAL, _REAL, *[_ARRAY] * 3)),

@@ -12,7 +12,7 @@
 #define LEFT 1e-14 /* of the motion of the cluster */
 
 /* columns of what a section was before the step with its free motion, and of what it is after it */
-enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE };
+enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE, FOUND = 7 };
 
 typedef struct {
   double traction[2], tangent[4], status;
@@ -70,7 +70,7 @@ static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
 
 typedef struct {
   const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
-  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], moduli[4 * MOST_MEMBERS];
+  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
 } cluster;
 
 /* What is left of the motion of a cluster, and its moduli times weights; -1 where crushed, 1 where it is no more than round-off. */
@@ -141,6 +141,7 @@ static int settles(cluster *c, int members, const double *compliance, double sha
       const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
       response at;
       if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return 0;
+      c->traction[2 * m] = at.traction[0], c->traction[2 * m + 1] = at.traction[1];
       if (at.status != c->status[m]) changes = 1, c->status[m] = at.status;
     }
     if (!changes) return total;
@@ -148,7 +149,8 @@ static int settles(cluster *c, int members, const double *compliance, double sha
   return 0;
 }
 
-/* The motion of sections and their statuses (s, 3) of clusters of as many members each, whose sections are ``rows`` of the tables.
+/* Of each section motion, status, traction, and what is left of the motion (s, 7), of clusters of as many members each, whose
+   sections are ``rows`` of the tables.
    The most iterations of a cluster; -1 where one of them did not come into balance. */
 int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, const double *compliance, double share,
                         const double *laws, const double *before, int32_t most, int32_t most_changes, double *found) {
@@ -165,8 +167,9 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
     if (total == 0) return -1;
     if (total > worst) worst = total;
     for (int m = 0; m < members; m++) {
-      double *to = found + 3 * row[m];
+      double *to = found + FOUND * row[m];
       to[0] = c.change[2 * m], to[1] = c.change[2 * m + 1], to[2] = c.status[m];
+      to[3] = c.traction[2 * m], to[4] = c.traction[2 * m + 1], to[5] = c.left[2 * m], to[6] = c.left[2 * m + 1];
     }
   }
   return worst;
