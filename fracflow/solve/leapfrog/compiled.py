@@ -24,6 +24,7 @@ _FUNCTIONS = {
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
     "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
+    "fracflow_work": (None, (_INT, *[_ARRAY] * 16)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 

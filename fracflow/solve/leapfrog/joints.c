@@ -174,3 +174,26 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
   }
   return worst;
 }
+
+/* ``energy.joint_work`` and ``energy.dissipated`` of sections in the plane, and what ``steps.Run.pull`` keeps of them. Adds the
+   work of friction and the five sums; ``blur`` is ``residual.round_off_of_jumps`` of ``moved``, ``record`` the largest traction. */
+void fracflow_work(int32_t n, const double *weight, const double *t0, const double *e0, const double *p0, const double *s0,
+                   const double *r0, const double *b0, const double *t, const double *e, const double *p, const double *s,
+                   const double *moved, double *record, double *blur, double *friction, double *sums) {
+  double normal = 0.0, shear = 0.0, plastic = 0.0, stored = 0.0, apart = 0.0;
+  for (int64_t k = 0; k < n; k++) {
+    const int64_t i = 2 * k, j = i + 1;
+    const double f = 0.5 * (t0[i] + t[i]), g = 0.5 * (t0[j] + t[j]), w = weight[k];
+    const double along = f * (p[i] - p0[i]), across = g * (p[j] - p0[j]);
+    friction[k] += along + across;
+    normal += w * (g * (e[j] - e0[j]) - across), shear += w * (f * (e[i] - e0[i]) - along);
+    plastic += w * (along + across), stored += w * (s[k] - s0[k]), apart -= w * across;
+    const double size = sqrt(t[i] * t[i] + t[j] * t[j]);
+    record[k] = size > r0[k] ? size : r0[k];
+    for (int64_t m = i; m <= j; m++) {
+      const double more = 0.5 * UNIT * moved[m];
+      blur[m] = sqrt(b0[m] * b0[m] + more * more);
+    }
+  }
+  sums[0] += normal, sums[1] += shear, sums[2] += plastic, sums[3] += stored, sums[4] += apart;
+}
