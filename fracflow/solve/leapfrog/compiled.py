@@ -49,4 +49,5 @@ def library() -> ctypes.CDLL | None:
 def address(values: NDArray[np.generic]) -> int:
     """Address of an array (...), which must stay alive while that is used."""
     assert values.flags.c_contiguous
-    return values.ctypes.data
+    found: int = values.__array_interface__["data"][0]  # a tenth of the time of values.ctypes
+    return found
