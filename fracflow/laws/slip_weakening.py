@@ -122,7 +122,8 @@ class SlipWeakening(FrictionLaw):
         path, f_n = history["slip_path"], traction[:, -1]
         peak, dynamic, distance = self._parameters(len(path))
         pressed = np.where((f_n < 0.0) & (f_n > -np.inf) & (path < distance), -f_n, 0.0)
-        return pressed * ((peak - dynamic) / distance)
+        found: Floats = pressed * ((peak - dynamic) / distance)
+        return found
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""
