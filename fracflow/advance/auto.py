@@ -18,6 +18,7 @@ from fracflow.advance.step_error import step_error
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, halvings_given, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.errors import NotConverged, OtherRock, ReductionInvalid
+from fracflow.model.energy import refuse_made_energy
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
@@ -81,6 +82,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             before, step = state.time, regimes.wave_step(state, event)
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
+            refuse_made_energy(state)
             event = replace(event.moved_to(state, stage.at_rest), count=event.count + (found.reached == 1.0))
             absorbs = any(term.absorbs for term in model.scene.terms)
             if line := event.is_unstable(
@@ -134,7 +136,8 @@ class _Regimes:
         step = EventLocated(step, stepping) if events else step
         by_rate = follows_slip(model, self.moving)
         step = BySlipRate(step, model, inertia=True) if by_rate else step
-        rules = Rules(most_halvings(scene), int(by_rate), events, MOST_HALVINGS * by_rate)
+        shrinks = not scene.is_unbounded and not stepping.explicit.may_lengthen(self.moving)
+        rules = Rules(most_halvings(scene), int(by_rate), events, MOST_HALVINGS * by_rate, shrinks=shrinks)
         self.waves = Substepped(step, rules, log, place)
         slow = model.slow.get(number)
         self.most = None if slow is None else slow.error

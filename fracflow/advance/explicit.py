@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from fracflow.integrators import EXPLICIT, Stepper
 from fracflow.integrators.explicit import parts
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
-from fracflow.model.state import State, StepReport
+from fracflow.model.state import COUNTS, State, StepReport
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
@@ -76,14 +76,18 @@ class ExplicitSteps:
         """Length of the substeps in which a rule advances a step of length ``dt``. Collective."""
         return dt / self.count(dt) if stepper.explicit and dt > 0.0 else dt
 
-    def locates(self, stepper: Stepper, dt: float) -> bool:
-        """Whether steps of length ``dt`` may end at events. Collective.
+    def may_lengthen(self, stepper: Stepper) -> bool:
+        """Whether a substep may be longer than the one before it. Collective.
 
-        Where rock deforms they may not: central differences with unequal substeps feed energy into the walls' modes.
+        Central differences of rock keep w (M - dt^2 K/4) w/2 + u K u/2, w and u the means of a step: an energy for each length.
+        A vibration of omega = 2/dt has hardly any of the one of dt, and its own of that of dt/2. One change of length is
+        bounded. Steps that change again and again, in time with a vibration, feed it without end.
         """
-        if not stepper.explicit:
-            return True
-        return math.isinf(self.explicit.critical) and self.model.operators.flow is None
+        return not stepper.explicit or math.isinf(self.explicit.critical)
+
+    def locates(self, stepper: Stepper, dt: float) -> bool:
+        """Whether steps of length ``dt`` may end at events. Collective."""
+        return self.may_lengthen(stepper) and not (stepper.explicit and self.model.operators.flow is not None)
 
     def log_steps(self, stepper: Stepper, dt: float) -> None:
         """Log how an explicit rule takes steps of length ``dt``. Collective."""
@@ -116,16 +120,16 @@ class ExplicitSubsteps:
         explicit, flow, dt = self.explicit, self.explicit.flow, request.length
         count, ahead = explicit.count(dt), dt if request.next_length is None else request.next_length
         then = ahead / explicit.count(ahead) if ahead > 0.0 else 0.0
-        run, total = explicit.leapfrog.run, StepReport()
+        run, reports = explicit.leapfrog.run, list[StepReport]()
         run.begin(state, dt / count)
         if flow is not None:
             flow.begin(state)
         try:
             for done, part in enumerate(substeps(request, state.controls, count, then), start=1):
                 around = part.length, dt / count if done < count else then
-                total = with_part(total, self._part(part, around, done == count))
+                reports.append(self._part(part, around, done == count))
             new = run.end(state if flow is None else flow.now, request, around, {} if flow is None else flow.parts)
-            return Outcome(new, replace(total, digits=self._digits(new)), request.end)
+            return Outcome(new, replace(of_substeps(reports), digits=self._digits(new)), request.end)
         finally:
             if flow is not None:
                 flow.end()
@@ -145,9 +149,8 @@ class ExplicitSubsteps:
             solved = explicit.leapfrog.joints_at_end(run.free_strain(), part)
             run.pull(solved.sections)
             refuse_jumps(blocks, joints, before, run.sections, part.time)
-            report = replace(
-                report, newton=solved.iterations, solid_residual=solved.left, solved=1, refused=int(solved.is_refused)
-            )
+            refused = int(solved.is_refused)
+            report = StepReport(solved.iterations, cycles=1, solid_residual=solved.left, solved=1, refused=refused)
         run.move(part.time, around, is_last)
         return report
 
@@ -180,16 +183,17 @@ def substeps(request: StepRequest, controls: Mapping[str, float], count: int, th
         )
 
 
-def with_part(total: StepReport, part: StepReport) -> StepReport:
-    """The report of substeps so far and of one more."""
-    widest = max(total, part, key=lambda each: each.widening)
+def of_substeps(reports: Sequence[StepReport]) -> StepReport:
+    """The report of a step from those of its substeps."""
+    widest = max(reports, key=lambda each: each.widening)
+    most = ("cycles", "round_off", "solid_residual", "flow_residual", "grown")
     return replace(
-        part.after(total),
-        solid_residual=max(total.solid_residual, part.solid_residual),
-        flow_residual=max(total.flow_residual, part.flow_residual),
-        grown=max(total.grown, part.grown),
+        reports[-1],
+        handed_over=next((each.handed_over for each in reversed(reports) if each.handed_over), ""),
         widening=widest.widening,
         widest=widest.widest,
+        **{name: max(getattr(each, name) for each in reports) for name in most},
+        **{name: sum(getattr(each, name) for each in reports) for name in COUNTS},
     )
 
 

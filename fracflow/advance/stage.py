@@ -16,6 +16,7 @@ from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import InSmallStrains, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.errors import InputError
 from fracflow.integrators import Stepper
+from fracflow.model.energy import refuse_made_energy
 from fracflow.model.setup import Model
 from fracflow.model.state import State, forgetful
 from fracflow.remarks import marked, note
@@ -114,7 +115,8 @@ def composed(
     by_rate = follows_slip(model, stepper)
     order, finest = estimator.order or by_rate, max(estimator.finest, MOST_HALVINGS * by_rate)
     prompt = estimator.of_flow or (by_rate and not stepper.inertia)  # with inertia factors of one length serve again
-    rules = Rules(most, order, most_events(stepping, stepper, whole), finest, prompt)
+    shrinks = not stepping.explicit.may_lengthen(stepper)
+    rules = Rules(most, order, most_events(stepping, stepper, whole), finest, prompt, shrinks)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
     step = StableSlip(step, model, JUST_OVER * 0.5**most) if is_weakening else step
@@ -161,6 +163,8 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         )
         found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
         state, n = found.state, n + (found.reached == 1.0)
+        if stepper.inertia:
+            refuse_made_energy(state)
         failed = utilisation(model, state.sections) >= 1.0
         if failed and stage.then == "hold" and not held:
             held, controls[control] = True, state.controls[control]

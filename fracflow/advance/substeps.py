@@ -41,6 +41,7 @@ class Rules:
     finest   times that it may be halved to be accurate, where that is not ``most``; only from there on is it halved to
              converge. Else substeps would shrink for ever towards an instant past which there is no solution
     prompt   the next part is as long as its error allows: no factors are kept that would serve again
+    shrinks  no part is longer than the one before it; see ``ExplicitSteps.may_lengthen``
     """
 
     most: int
@@ -48,6 +49,7 @@ class Rules:
     events: int = 0
     finest: int = 0
     prompt: bool = False
+    shrinks: bool = False
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,8 @@ class Substepped:
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
                 again = level + 1 <= most
-                halved = note(f"step halved: {str(error).partition(';')[0]}")
+                so_on = ", as are all until it is at rest again or the stage ends" if rules.shrinks else ""
+                halved = note(f"step halved{so_on}: {str(error).partition(';')[0]}")
                 self.log(halved if again else marked(f"{GIVEN_UP}{error}"))
                 now = _Cause(str(error).partition(";")[0], type(error), error.kind)
                 last, other = now, other if now.is_like(last) else last.text
@@ -173,7 +176,7 @@ class Substepped:
                 place = replace(place, level=deeper, calm=0)
                 continue
             break
-        place = replace(place, level=max(place.level, level) if rules.order else 0)
+        place = replace(place, level=max(place.level, level) if rules.order or rules.shrinks else 0)
         if found.reached < end:  # at an event the rest of the step is divided anew
             events = place.events + (not found.foreseen)
             place = replace(place, base=found.reached, part=0.0, events=events)
@@ -250,7 +253,7 @@ def _sizes(place: SubstepCursor, most: float, prompt: bool) -> Iterator[tuple[fl
 
 def _after(place: SubstepCursor, size: float, error: float, rules: Rules) -> SubstepCursor:
     """The place where a substep of such a ``size`` has ended, with the length of the next one by its ``error``."""
-    if not rules.order:
+    if not rules.order or rules.shrinks:
         return place
     if rules.prompt:
         longer = min((MARGIN / error) ** (1.0 / rules.order), MOST_OF_LAST) if error > 0.0 else MOST_OF_LAST

@@ -207,6 +207,8 @@ class FrictionLaw(JointLaw):
 
     def has_changed(self, old: History, new: History) -> Bools:
         """Whether sections (n,) began or ended to slide, or slide the other way; turning while sliding is no change."""
+        if np.array_equal(old["sliding"], new["sliding"]):
+            return np.zeros(len(old["sliding"]), dtype=bool)
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
         return np.asarray((old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way)
 

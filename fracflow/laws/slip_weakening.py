@@ -119,9 +119,11 @@ class SlipWeakening(FrictionLaw):
 
     def softening(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
-        _, falls = self.friction(history["slip_path"])
-        compression = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
-        return compression * falls
+        path, f_n = history["slip_path"], traction[:, -1]
+        peak, dynamic, distance = self._parameters(len(path))
+        pressed = np.where((f_n < 0.0) & (f_n > -np.inf) & (path < distance), -f_n, 0.0)
+        found: Floats = pressed * ((peak - dynamic) / distance)
+        return found
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy, sum_over_ranks
+from fracflow.errors import SolveError
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
@@ -32,6 +33,15 @@ WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 DILATION = "dilation"
 CHANGE_OF_ROCK = "change_of_rock"
+TAKE = (
+    "friction",
+    "damping",
+    "scheme",
+)  # energy, each; where a step does not resolve a motion they give some for a while
+HELD = tuple(name for name in STORED if name not in TAKE)
+# That of a vibration of omega in explicit steps is up to 1/(1 - (omega dt/2)^2): ten times at .95 of its critical step. Runs
+# whose motion feeds on itself pass it within some tens of steps.
+MOST_MADE = 10.0
 
 
 def empty_balance(terms: Iterable[Term] = (), dilates: bool = False, is_handed: bool = False) -> dict[str, float]:
@@ -260,3 +270,23 @@ def _volume_rate(ops: Operators, state: State, balanced: PETSc.Vec) -> float:
     found = float(rate.dot(balanced))
     rate.destroy()
     return found
+
+
+def made_and_brought(totals: Mapping[str, float]) -> tuple[float, float]:
+    """Energy that ``TAKE`` have given, and all that was put in or set free, by the totals of a balance [energy/thickness]."""
+    made = sum(max(-totals[name], 0.0) for name in TAKE if name in totals)
+    works = sum(max(value, 0.0) for name, value in totals.items() if name.startswith("work_"))
+    return made, works + sum(max(-totals[name], 0.0) for name in HELD)
+
+
+def refuse_made_energy(state: State) -> None:
+    """Raise SolveError, on every rank, and free a state, where ``MOST_MADE`` times more energy was made than brought."""
+    made, brought = made_and_brought(state.energy)
+    if made <= MOST_MADE * brought:
+        return
+    worst, time = min(TAKE, key=lambda name: state.energy.get(name, 0.0)), state.time
+    state.destroy()
+    raise SolveError(
+        f"time {time:.9g}: motion feeds on itself: energy/{worst} has given {made:.3g} per thickness, over {MOST_MADE:g}"
+        f" times all that was brought, {brought:.3g}: take a smaller time_step, or another method.stepper"
+    )

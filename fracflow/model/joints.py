@@ -252,6 +252,8 @@ class Joints:
 
     def have_changed(self, old: SectionHistory, new: SectionHistory) -> Bools:
         """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
+        if self._is_alone and self.laws[0].law.status:
+            return self.laws[0].law.has_changed(old[0], new[0])
         changed = np.zeros(len(self.weights), dtype=bool)
         for group, before, after in zip(self.laws, old, new, strict=True):
             if group.law.status:

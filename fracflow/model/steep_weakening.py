@@ -32,9 +32,10 @@ def steepest(
         falls = group.law.steepness(traction[group.sections], history)
         if chosen is not None:
             falls = np.where(chosen[group.sections], falls, 0.0)
-        if falls.max(initial=0.0) > worst[0]:
+        most = float(falls.max(initial=0.0))
+        if most > worst[0]:
             fracture = blocks.joints.fracture[group.sections[falls.argmax()] // joints.points]
-            worst = (float(falls.max()), blocks.joints.fractures[fracture], group.law.weakens_over)
+            worst = (most, blocks.joints.fractures[fracture], group.law.weakens_over)
     if blocks.comm.size == 1:
         return worst
     largest = np.array([worst[0]])
@@ -54,6 +55,8 @@ def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
 
 def refuse_jumps(blocks: Blocks, joints: Joints, old: Sections, new: Sections, time: float) -> None:
     """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
+    if steepest(blocks, joints, new.traction, old.history, least=1.0)[0] < 1.0:
+        return
     slid = (new.inelastic != old.inelastic).any(axis=1)
     worst, name, key = steepest(blocks, joints, new.traction, old.history, slid, least=1.0)
     if worst >= 1.0:

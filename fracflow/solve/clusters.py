@@ -7,6 +7,7 @@ These blocks are small and solved all at once, each on one rank.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,12 +35,21 @@ class Exchange:
     sent: Ints
     received: Ints
 
+    @cached_property
+    def stays(self) -> bool:
+        """Whether one rank has all, in their order."""
+        return self.comm.size == 1 and np.array_equal(self.order, np.arange(len(self.order)))
+
     def there(self, rows: Floats) -> Floats:
-        """Rows (s, k) of this rank's sections -> rows (S, k) of the clusters it solves for. Collective."""
+        """Rows (s, k) of this rank's sections -> rows (S, k) of the clusters it solves for, or themselves. Collective."""
+        if self.stays:
+            return rows
         return self._move(rows[self.order], self.sent, self.received)
 
     def back(self, rows: Floats) -> Floats:
-        """Rows (S, k) of the clusters -> rows (s, k) of this rank's sections. Collective."""
+        """Rows (S, k) of the clusters -> rows (s, k) of this rank's sections, or themselves. Collective."""
+        if self.stays:
+            return rows
         result = np.empty((len(self.order), rows.shape[1]))
         result[self.order] = self._move(rows, self.received, self.sent)
         return result

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from _launch import without_ranks
 
@@ -23,3 +24,12 @@ def test_small_bench_ends_on_two_ranks(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     (row,) = (json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))
     assert row["ranks"] == 2 and row["step_ms"] > 0.0 < row["sweep_ms"]
+
+
+def test_local_steps_of_powers_of_two():
+    """A cell goes at the pace of its quickest node: of steps 1, 3, 8 and 8 in a row these have 1, 1, 2 and 8."""
+    sys.path.insert(0, str(ROOT / "scripts" / "benches"))
+    from local_steps import gain
+
+    critical, cells = np.array([1.0, 3.0, 8.0, 8.0]), np.array([[0, 1, -1], [1, 2, -1], [2, 3, -1], [3, 4, -1]])
+    assert gain(critical, cells, 5, 1.0) == pytest.approx(4.0 / (1.0 + 1.0 + 0.5 + 0.125))

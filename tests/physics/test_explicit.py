@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.errors import InputError, SolveError
+from fracflow.advance.explicit import ExplicitSteps
+from fracflow.errors import InputError, NotConverged, SolveError
 from fracflow.output import read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
+from fracflow.solve.leapfrog.joints import JointSolver
 
 MESHES = Path(__file__).parents[2] / "meshes"
 BAR_GEO = """
@@ -364,3 +366,75 @@ def test_a_wide_fracture_takes_up_fluid_slower_than_its_volume_rounds_off(run_sc
     pressure, late = found.probe("middle", "pressure"), found.history["step/stage"] == 1
     assert pressure[-1] > 4e6 and late.sum() == 5
     assert np.ptp(pressure[late]) <= 1e-6 * pressure[-1] and found.closes(1e-10)
+
+
+SQUARES = """
+[rock.rock]
+youngs_modulus = 64.08e9
+poissons_ratio = 0.25
+density = 2670
+[output]
+pictures = false
+[method]
+stepper = "explicit"
+[geometry]
+domain = [-400, -400, 400, 400]
+size = 100
+cells = "quads"
+[[geometry.fracture]]
+name = "joint"
+points = [[-200, 0], [200, 0]]
+[fracture.joint]
+law = "linear"
+normal_stiffness = 1e12
+shear_stiffness = 1e12
+[[support]]
+on = "south"
+[[load]]
+on = "north"
+traction = [1e6, 1e6]
+[[probe]]
+name = "middle"
+at = [0, 0]
+on = "joint"
+[[stage]]
+kind = "dynamic"
+time_step = 18.5e-3          # of 18.57 ms, the critical one
+steps = 60
+"""
+
+
+def _refusing(monkeypatch):
+    """Every third step that is as long as the longest finds no balance of its joints, once."""
+    solve, seen = JointSolver.solve, {"longest": 0.0, "steps": 0, "time": np.nan}
+
+    def refuses(self, before, free, share, step):
+        seen["longest"] = max(seen["longest"], share)
+        if share > 0.99 * seen["longest"] and step.time != seen["time"]:
+            seen["time"], seen["steps"] = step.time, seen["steps"] + 1
+            if seen["steps"] % 3 == 0:
+                raise NotConverged(f"time {step.time:.6g}: no balance", kind="sections")
+        return solve(self, before, free, share, step)
+
+    monkeypatch.setattr(JointSolver, "solve", refuses)
+
+
+def test_steps_that_are_refused_feed_nothing(run_scene, monkeypatch):
+    """Halves between whole steps fed vibrations of the cells, fourfold in 20 steps and without end: they stay halves."""
+    plain = run_scene(SQUARES)
+    _refusing(monkeypatch)
+    found = run_scene(SQUARES)
+    lengths = np.diff(found.history["time"])
+    assert lengths[0] == pytest.approx(18.5e-3) and lengths[5:] == pytest.approx(9.25e-3)
+    traction = [ran.probe("middle", "normal_traction") for ran in (plain, found)]
+    assert np.abs(traction[1]).max() <= np.abs(traction[0]).max()
+    assert found.closes()
+
+
+def test_energy_out_of_nothing_ends_a_run(run_scene, monkeypatch):
+    """As refused steps made it before: the run says so, and keeps the states before that."""
+    _refusing(monkeypatch)
+    monkeypatch.setattr(ExplicitSteps, "may_lengthen", lambda self, stepper: True)
+    monkeypatch.setattr(ExplicitSteps, "locates", lambda self, stepper, dt: False)
+    with pytest.raises(SolveError, match="feeds on itself: energy/scheme has given"):
+        run_scene(SQUARES)

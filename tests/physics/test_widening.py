@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.explicit import with_part
+from fracflow.advance.explicit import of_substeps
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Step
 from fracflow.model.state import StepReport
@@ -82,7 +82,5 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
 
 
 def test_equal_parts_of_a_step_keep_the_most():
-    total = StepReport()
-    for grown in (1.1, 3.0, 1.2):
-        total = with_part(total, StepReport(newton=2, widening=grown, widest=f"part {grown}"))
+    total = of_substeps([StepReport(newton=2, widening=each, widest=f"part {each}") for each in (1.1, 3.0, 1.2)])
     assert (total.widening, total.widest, total.newton) == (3.0, "part 3.0", 6)

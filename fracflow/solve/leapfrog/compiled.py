@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 3  # of the functions' arguments, as in rock.c
+VERSION = 4  # of the functions' arguments, as in rock.c
 _INT, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 13, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -24,6 +24,7 @@ _FUNCTIONS = {
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
     "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
+    "fracflow_work": (None, (_INT, *[_ARRAY] * 16)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 
@@ -48,4 +49,5 @@ def library() -> ctypes.CDLL | None:
 def address(values: NDArray[np.generic]) -> int:
     """Address of an array (...), which must stay alive while that is used."""
     assert values.flags.c_contiguous
-    return values.ctypes.data
+    found: int = values.__array_interface__["data"][0]  # a tenth of the time of values.ctypes
+    return found

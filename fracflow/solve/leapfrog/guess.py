@@ -23,11 +23,16 @@ MOST_MEMBERS = 8  # sections of a cluster, as in joints.c
 
 
 class Trial(NamedTuple):
-    """Motion of sections (s, 2), their histories with the statuses there, and iterations; -1 where it is no balance."""
+    """Motion of sections (s, 2), their histories with the statuses there, and iterations; -1 where it is no balance.
+
+    traction, left  (s, 2) of the copies of the laws there [stress], and what is left of the motion [length]
+    """
 
     change: Floats
     status: SectionHistory
     iterations: int
+    traction: Floats
+    left: Floats
 
 
 class _Batch:
@@ -46,7 +51,7 @@ class JointGuess:
         self.joints, self.clusters, self.most = operators.joints, clusters, most
         count = len(self.joints.weights)
         self._laws = clusters.exchange.there(_rows(self.joints))
-        self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 3))
+        self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 7))
         self._batches = [_Batch(each) for each in clusters.batches]
 
     def solve(self, before: Sections, free: Floats, share: float) -> Trial:
@@ -65,7 +70,8 @@ class JointGuess:
             done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found)
             most = max(most, done) if done >= 0 and most >= 0 else -1
         back = self.clusters.exchange.back(self._found)
-        return Trial(back[:, :2], self._with_status(before.history, here[:, 11], back[:, 2]), most)
+        status = self._with_status(before.history, here[:, 11], back[:, 2])
+        return Trial(back[:, :2], status, most, back[:, 3:5], back[:, 5:])
 
     def _with_status(self, history: SectionHistory, before: Floats, now: Floats) -> SectionHistory:
         if np.array_equal(before, now):

@@ -12,7 +12,7 @@
 #define LEFT 1e-14 /* of the motion of the cluster */
 
 /* columns of what a section was before the step with its free motion, and of what it is after it */
-enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE };
+enum { FREE, STRAIN = 2, TRACTION = 4, TANGENT = 6, PLASTIC = 10, STATUS, PATH, BEFORE, FOUND = 7 };
 
 typedef struct {
   double traction[2], tangent[4], status;
@@ -70,7 +70,7 @@ static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
 
 typedef struct {
   const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
-  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], moduli[4 * MOST_MEMBERS];
+  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
 } cluster;
 
 /* What is left of the motion of a cluster, and its moduli times weights; -1 where crushed, 1 where it is no more than round-off. */
@@ -141,6 +141,7 @@ static int settles(cluster *c, int members, const double *compliance, double sha
       const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
       response at;
       if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return 0;
+      c->traction[2 * m] = at.traction[0], c->traction[2 * m + 1] = at.traction[1];
       if (at.status != c->status[m]) changes = 1, c->status[m] = at.status;
     }
     if (!changes) return total;
@@ -148,7 +149,8 @@ static int settles(cluster *c, int members, const double *compliance, double sha
   return 0;
 }
 
-/* The motion of sections and their statuses (s, 3) of clusters of as many members each, whose sections are ``rows`` of the tables.
+/* Of each section motion, status, traction, and what is left of the motion (s, 7), of clusters of as many members each, whose
+   sections are ``rows`` of the tables.
    The most iterations of a cluster; -1 where one of them did not come into balance. */
 int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, const double *compliance, double share,
                         const double *laws, const double *before, int32_t most, int32_t most_changes, double *found) {
@@ -165,9 +167,33 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
     if (total == 0) return -1;
     if (total > worst) worst = total;
     for (int m = 0; m < members; m++) {
-      double *to = found + 3 * row[m];
+      double *to = found + FOUND * row[m];
       to[0] = c.change[2 * m], to[1] = c.change[2 * m + 1], to[2] = c.status[m];
+      to[3] = c.traction[2 * m], to[4] = c.traction[2 * m + 1], to[5] = c.left[2 * m], to[6] = c.left[2 * m + 1];
     }
   }
   return worst;
+}
+
+/* ``energy.joint_work`` and ``energy.dissipated`` of sections in the plane, and what ``steps.Run.pull`` keeps of them. Adds the
+   work of friction and the five sums; ``blur`` is ``residual.round_off_of_jumps`` of ``moved``, ``record`` the largest traction. */
+void fracflow_work(int32_t n, const double *weight, const double *t0, const double *e0, const double *p0, const double *s0,
+                   const double *r0, const double *b0, const double *t, const double *e, const double *p, const double *s,
+                   const double *moved, double *record, double *blur, double *friction, double *sums) {
+  double normal = 0.0, shear = 0.0, plastic = 0.0, stored = 0.0, apart = 0.0;
+  for (int64_t k = 0; k < n; k++) {
+    const int64_t i = 2 * k, j = i + 1;
+    const double f = 0.5 * (t0[i] + t[i]), g = 0.5 * (t0[j] + t[j]), w = weight[k];
+    const double along = f * (p[i] - p0[i]), across = g * (p[j] - p0[j]);
+    friction[k] += along + across;
+    normal += w * (g * (e[j] - e0[j]) - across), shear += w * (f * (e[i] - e0[i]) - along);
+    plastic += w * (along + across), stored += w * (s[k] - s0[k]), apart -= w * across;
+    const double size = sqrt(t[i] * t[i] + t[j] * t[j]);
+    record[k] = size > r0[k] ? size : r0[k];
+    for (int64_t m = i; m <= j; m++) {
+      const double more = 0.5 * UNIT * moved[m];
+      blur[m] = sqrt(b0[m] * b0[m] + more * more);
+    }
+  }
+  sums[0] += normal, sums[1] += shear, sums[2] += plastic, sums[3] += stored, sums[4] += apart;
 }

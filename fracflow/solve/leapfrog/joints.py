@@ -112,15 +112,23 @@ class JointSolver:
     def _confirmed(
         self, guess: JointGuess, before: Sections, free: Floats, share: float, step: LawStep
     ) -> Solved | None:
-        """The sections at a guess; None where the laws find no balance there or change a status. Collective."""
+        """The sections at a guess; None where the laws find no balance there or change a status. Collective.
+
+        Tractions that are those of the guess, to the bit, are in balance as it found them.
+        """
         joints, trial = self.operators.joints, guess.solve(before, free, share)
         answer = joints.evaluate(before.strain + trial.change, trial.status, step)
         is_bad = trial.iterations < 0 or bool(joints.have_changed(trial.status, answer.history).any())
-        left, _, size = self._balance(before, free, trial.change, answer)
-        beyond, is_finite = np.abs(left) - MOTION_ROUND_OFF * size, np.isfinite(answer.traction).all()
+        is_same, comm = np.array_equal(answer.traction, trial.traction), self.operators.layout.comm
+        left, beyond = trial.left, 0.0
+        if not (is_same if comm.size == 1 else comm.allreduce(is_same, op=MPI.LAND)):
+            left, _, size = self._balance(before, free, trial.change, answer)
+            is_bad |= not np.isfinite(answer.traction).all()
+            beyond = float((np.abs(left) - MOTION_ROUND_OFF * size).max(initial=0.0))
         here = [float(np.abs(each).max(initial=0.0)) for each in (trial.change, left)]
-        here += [float(beyond.max(initial=0.0)), float(is_bad or not is_finite), float(trial.iterations)]
-        moved, worst, most, has_bad, iterations = over_ranks(here, self.operators.layout.comm)
+        moved, worst, most, has_bad, iterations = over_ranks(
+            [*here, beyond, float(is_bad), float(trial.iterations)], comm
+        )
         if has_bad or not most <= TIGHT * moved:
             return None
         return Solved(answer, round(iterations), worst / moved if moved > 0.0 else 0.0)

@@ -116,7 +116,7 @@ def blocks_of(matrix: PETSc.Mat, own: Ints, groups: list[Ints]) -> list[Floats]:
 
 def by_blocks(groups: list[Ints], blocks: list[Floats], values: Floats) -> Floats:
     """Blocks (c, m, m) of each group times values (n,)."""
-    result = np.zeros(len(values))
+    result = np.empty(len(values))  # each value is in one group
     for members, block in zip(groups, blocks, strict=True):
         if members.shape[1] == 2:
             x, y = values[members[:, 0]], values[members[:, 1]]

@@ -43,6 +43,7 @@ class Nodes:
     no_support  zeros, where no rank holds an unknown; else None. PETSc keeps their norm
     groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
     mass    (n,) diagonal, of all local unknowns; ``inverse`` of those in ``every``, 0 where held and on bodies
+    at_pushed  places in ``every`` of free unknowns that changing loads or joints push
     bodies  (b, r) places in ``every`` of the unknowns of rigid bodies; their inverse masses (b, r, r), 0 where held
     """
 
@@ -98,6 +99,8 @@ class Nodes:
         self.inverse_of_bodies = self._inverse_of_bodies(operators, bodies)
         self.at_held, self.at_own, self.at_jump = (self.find(each) for each in (self.held, self.own, self.jump.numbers))
         self.at_loads = self.find(self.changing.numbers)
+        pushed = np.union1d(self.at_loads, self.at_jump)
+        self.at_pushed: Ints = pushed[~(self.is_held | self.on_body)[pushed]]
         self.at_damped = {name: self.find(each.numbers) for name, each in self.damping.items()}
         self.at_springs = {name: self.find(each.numbers) for name, each in self.springs.items()}
         self.free_bodies = np.flatnonzero((self.on_body & ~self.is_held)[self.at_own])

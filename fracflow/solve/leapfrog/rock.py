@@ -21,6 +21,7 @@ from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
 
 PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
+COMPILED = ((2, 3), (2, 4))  # dimension and nodes of the cells that rock.c has; others go by their matrix
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
 
 
@@ -80,8 +81,10 @@ class Rock(Protocol):
 
 def rock_of(operators: Operators, scene: Scene, springs: PETSc.Mat | None, plain: bool) -> Rock:
     """The rock of a scene by compiled loops where it is ``plain``, else by PETSc; ``springs`` is the K of terms. Collective."""
-    comm, loops = operators.layout.comm, library()
-    if not plain or comm.allreduce(int(loops is None)):
+    comm, loops, block = operators.layout.comm, library(), operators.blocks.solid
+    widths = np.unique((block.cells >= 0).sum(axis=1)).tolist()
+    has_others = any((block.points.shape[1], width) not in COMPILED for width in widths)
+    if not plain or comm.allreduce(int(loops is None or has_others)):
         return AssembledRock(operators, springs, plain)
     return Cells(operators, scene)
 

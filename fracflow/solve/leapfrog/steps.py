@@ -15,7 +15,7 @@ from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.energy import added, dissipated, joint_parts, joint_work
+from fracflow.model.energy import added, joint_parts
 from fracflow.model.loads import Loads
 from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
 from fracflow.scene.scene import Scene
@@ -25,8 +25,9 @@ from fracflow.solve.leapfrog.joints import JointSolver, Solved
 from fracflow.solve.leapfrog.local import by_blocks
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.leapfrog.rock import Sums
+from fracflow.solve.leapfrog.section_work import taken_over
 from fracflow.solve.request import StepRequest
-from fracflow.solve.residual import Largest, round_off_of_jumps
+from fracflow.solve.residual import Largest
 
 SAME = 1e-14  # of the largest load: a difference by the order of sums
 
@@ -207,12 +208,12 @@ class Run:
 
         pressed  pressures (s,) of a fluid at their sections; None without one
         """
-        nodes, before, weights = self.nodes, self.sections, self.nodes.operators.joints.weights[:, None]
+        nodes, before = self.nodes, self.sections
         total = found.traction
         if pressed is not None:
             total = total.copy()
             total[:, -1] -= pressed
-        force = nodes.jump.transposed((weights * (self.total - total)).ravel())
+        force = nodes.jump.transposed((nodes.operators.joints.weights[:, None] * (self.total - total)).ravel())
         self.total = total
         self.pushed[nodes.at_jump] += force
         if len(nodes.bodies):
@@ -226,10 +227,9 @@ class Run:
             self.added[nodes.at_jump] += more
             self.moved[nodes.at_jump] += more
         moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
-        record = np.maximum(before.record, np.linalg.norm(found.traction, axis=1))
-        self.sections = replace(found, blur=round_off_of_jumps(before.blur, moved), record=record)
-        self.balance.joints += joint_work(nodes.operators.joints.weights, before, self.sections)
-        self.friction = self.friction + dissipated(before, found)
+        weights = nodes.operators.joints.weights
+        self.sections, self.friction, work = taken_over(weights, before, found, moved, self.friction)
+        self.balance.joints += work
 
     def move(self, time: float, around: Around, is_last: bool) -> None:
         """Forces at the end of a step, and the motion of all nodes on to the middle of the next. Collective."""
@@ -265,8 +265,8 @@ class Run:
             v[nodes.held_of_own] = held_speed
             rock.a[own] = at_own
         rock.v[own] = v
-        free, balance = ~(nodes.is_held | nodes.on_body), self.balance
-        balance.scheme += scheme_work(dt, float(self.pushed[free] @ (old_a + a)[free]))
+        balance, at = self.balance, nodes.at_pushed
+        balance.scheme += scheme_work(dt, float(self.pushed[at] @ (old_a[at] + a[at])))
         balance.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
         for name, each in self.damped.items():
             self._take(name, old_damped[name], each, nodes.at_damped[name])
