@@ -362,13 +362,17 @@ class StepProblem:
         dt, driving = self.time - self.state.time, self.pressure.getArray() - self.operators.flow.resting.getArray()
         spent = self.conduction.conductance @ np.ptp(self.conduction.pressure, axis=1) ** 2
         brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
-        left = self.flow_balance.getArray(readonly=True)
-        if self.loads.summed is not None:
-            left = self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
-        here = np.array([left @ driving, spent + brought])
+        here = np.array([self.flow_left() @ driving, spent + brought])
         missed, power = sum_over_ranks(here, self.operators.layout.comm)
         largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
         return abs(dt * float(missed)) / max(largest, TINY)
+
+    def flow_left(self) -> Floats:
+        """Imbalance (q,) of the flow at this rank's nodes, with no sums of several [volume rate per thickness]. Collective."""
+        left = self.flow_balance.getArray(readonly=True)
+        if self.loads.summed is None:
+            return left
+        return self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
@@ -425,6 +429,9 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     if ops.flow is not None:
         assert problem.conduction is not None
         ops.flow.outflow(problem.conduction, conduction)
+        if problem.loads.faint is not None:
+            given, left = problem.loads.given_pressures, problem.flow_left()
+            conduction.setArray(problem.loads.faint.balanced(conduction.getArray(), left, given))
         drawn = ops.layout.flow_vector()
         ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
         drawn.axpy(1.0, conduction)

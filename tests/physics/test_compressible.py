@@ -72,6 +72,26 @@ def test_a_sealed_slot_stores_what_flows_in_however_long_the_step(shared_tmp, wa
     closes(history)
 
 
+OUTLET = '[[well]]\nname = "out"\nat = {fracture = "film", end = "end"}\npressure = [[0, 0], [%g, 0.1]]\n'
+
+
+@pytest.mark.parametrize("way", ["lu", "staggered"])
+@pytest.mark.parametrize("walls, film", [("give alone", "trapezoid"), ("held", "backward-euler"), ("give", "bdf2")])
+def test_prescribed_pressures_bring_what_is_stored_however_long_the_step(shared_tmp, walls, film, way):
+    """By a well that comes to its limit, then by one whose pressure rises while another pumps: their flow is round-off."""
+    x = np.array([0.0, 1.0, 1.5, 4.0])
+    for dt, wells in (1e5, "maximum_pressure = 0.1\n"), (1e9, "maximum_pressure = 0.1\n"), (1e9, OUTLET % 4e9):
+        text = WALLS[walls].format(pressure=0).replace("conductance = 1", "conductance = 1e6")
+        text += INFLOW.replace("0.3", f"{0.3 / dt}") + wells + stage("quasi-static", 4 * dt, 4)
+        history, fields = winkler.ran(shared_tmp, x, text, *WAYS[way], f"method.flow_integrator={film}")
+        aperture, pressure = np.ravel(fields["aperture"]), np.ravel(fields["pressure"])
+        denser = np.exp(0.1 * pressure) if "compressibility" in text else 1.0
+        stored = 0.5 * np.repeat(np.diff(x), 2) @ (aperture * denser) - 40.0
+        brought = sum(values[-1] for key, values in history.items() if key.startswith("well/") and "volume" in key)
+        assert brought == pytest.approx(stored, rel=1e-8) and stored > 0.3
+        closes(history)
+
+
 def evenly(x, rate):
     """Wells at all nodes of x that give each its share of ``rate``, so that no fluid has to run anywhere."""
     share = np.convolve(np.diff(x), [0.5, 0.5], "full") / (x[-1] - x[0])
