@@ -25,7 +25,7 @@ from fracflow.model.energy import dissipated, update_balance, work_missed
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
-from fracflow.model.state import PreviousStep, State, StepReport
+from fracflow.model.state import PreviousStep, State, StepReport, Work
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.remarks import note
@@ -34,7 +34,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import Guess, StepProblem
-from fracflow.solve.request import StepRequest, StepRule, Work, begins_anew, rule_of
+from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end

@@ -313,3 +313,24 @@ class StepReport:
 
 COUNTS = tuple(each.name for each in fields(StepReport) if each.metadata.get("adds up"))
 """Names of what adds up in a report."""
+
+
+@dataclass
+class TrialProgress:
+    """The trial under way, as a screen shows it.
+
+    iteration   of Newton's method
+    unbalanced  share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
+    """
+
+    iteration: int = 0
+    unbalanced: float = np.inf
+
+
+@dataclass
+class Work:
+    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
+
+    evaluations: int = 0
+    factorisations: int = 0
+    trial: TrialProgress = field(default_factory=TrialProgress)

@@ -21,7 +21,7 @@ from fracflow.scene.units import (
     VISCOSITY,
 )
 
-FAR = 10.0  # extents of a map in degrees that lie between it and (0, 0)
+FAR_OFF = 10.0  # extents of a map in degrees that lie between it and (0, 0)
 SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock, a pressure that of one of water
 STREAM = 0.2  # m^3/s: few wells bring more
 DECIMALS = 3  # that coordinates on a plane may have
@@ -60,7 +60,7 @@ def degrees(scene: Scene) -> Iterator[str]:
     points = np.concatenate([np.asarray(trace.points, dtype=float) for trace in traces])
     extent, middle = float(np.ptp(points, axis=0).max()), points.mean(axis=0)
     is_fine = np.abs(points - np.round(points, DECIMALS)) > 1e-9
-    if np.all(np.abs(points) <= (180.0, 90.0)) and FAR * extent < np.linalg.norm(middle) and is_fine.mean() > 0.5:
+    if np.all(np.abs(points) <= (180.0, 90.0)) and FAR_OFF * extent < np.linalg.norm(middle) and is_fine.mean() > 0.5:
         unit = scene.unit_system.behind(LENGTH)
         yield (
             f"geometry: all traces lie within {extent:.3g}{unit} around ({middle[0]:.6g}, {middle[1]:.6g}), as longitudes and"

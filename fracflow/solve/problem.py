@@ -22,10 +22,10 @@ from fracflow.model.compressibility import compression_of, lost, uptake_at, why_
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
+from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State, Work
 from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
-from fracflow.solve.request import StepRequest, StepRule, Work
+from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
