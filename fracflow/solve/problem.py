@@ -308,8 +308,8 @@ class StepProblem:
         """
         summed, network, rate = self.loads.summed, self.operators.network, self.alphas.a1 / self.flow_scale()
         assert summed is not None and self.conduction is not None
-        now = self.conduction.compression
-        known = round_off_of_uptake(network, self.fluid_before, now, self.alphas.b1) + NOISE * UNIT_ROUND_OFF * rows
+        known = round_off_of_uptake(network, self.fluid_before, self.conduction, self.alphas.b1)
+        known += NOISE * UNIT_ROUND_OFF * rows
         if moved is not None:
             known += network.at_nodes(round_off_of_volumes(network, moved, self.alphas.a1))
         taken = stored if self.taken_up is None else stored + self.taken_up
