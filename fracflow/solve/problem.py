@@ -355,6 +355,7 @@ class StepProblem:
         """Energy that the imbalance of the flow adds in this step, over the largest of the energy balance. Collective.
 
         Along a wide fracture flows are round-off of its pressure, and hide that the inflow of the whole of it is not balanced.
+        In a step that takes no time it is the power, over that of the flow.
         """
         if self.conduction is None:
             return 0.0
@@ -364,6 +365,8 @@ class StepProblem:
         brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
         here = np.array([self.flow_left() @ driving, spent + brought])
         missed, power = sum_over_ranks(here, self.operators.layout.comm)
+        if dt == 0.0:
+            return abs(float(missed)) / max(float(power), TINY)
         largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
         return abs(dt * float(missed)) / max(largest, TINY)
 
