@@ -272,8 +272,8 @@ class StepProblem:
         self._scale = None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
-        now = self.conduction.compression
-        self.taken_up = uptake_at(self.operators, self.state, self.alphas, self.fluid_before, now)
+        before, now = self.fluid_before, self.conduction.compression
+        self.taken_up = uptake_at(self.operators, self.state, self.alphas, before, now)
         if self.taken_up is not None:
             flow.getArray()[:] += self.taken_up
             rows += np.abs(self.taken_up)
@@ -365,10 +365,8 @@ class StepProblem:
         brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
         here = np.array([self.flow_left() @ driving, spent + brought])
         missed, power = sum_over_ranks(here, self.operators.layout.comm)
-        if dt == 0.0:
-            return abs(float(missed)) / max(float(power), TINY)
-        largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
-        return abs(dt * float(missed)) / max(largest, TINY)
+        energies, span = (self.state.energy.values(), abs(dt)) if dt else ((), 1.0)
+        return span * abs(float(missed)) / max([span * float(power), *map(abs, energies), TINY])
 
     def flow_left(self) -> Floats:
         """Imbalance (q,) of the flow at this rank's nodes, with no sums of several [volume rate per thickness]. Collective."""
