@@ -31,6 +31,9 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
     Pressures of a compressible fluid stay as they are, and the balance gives its rate of uptake. Prescribed pressures jump.
     They then follow their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is
     prescribed arrives during the first step.
+
+    Walls without a fluid go on at their mean velocity over the last step. That at its end, by a multistep rule, goes back
+    in the step after a jump of a load, and no error has shortened such steps.
     """
     ops = model.operators
     if not stepper.inertia:
@@ -38,7 +41,9 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
         kept.motion.velocity.set(0.0)
         destroy(kept.forces.anchor, kept.uptake)
         return replace(kept, forces=replace(kept.forces, anchor=None), energy=switch(state.energy, 0.0), uptake=None)
-    motion = state.motion.copy()
+    motion, mean = state.motion.copy(), state.previous_step.velocity
+    if ops.flow is None and mean is not None:
+        mean.copy(motion.velocity)
     energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
     for moved in model.loads.supports if dt > 0.0 else ():
         motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))

@@ -13,13 +13,22 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
-from fracflow.advance.step_error import LEAST, Vibration, largest_displacement, step_error, swing_of, vibration
+from fracflow.advance.step_error import (
+    LEAST,
+    Vibration,
+    displacement_since,
+    largest_displacement,
+    local_error,
+    step_error,
+    swing_of,
+    vibration,
+)
 from fracflow.errors import SolveError
 from fracflow.integrators import FlowRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.setup import Model
-from fracflow.model.state import State
+from fracflow.model.state import StageStart, State
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import MOST_GROWTH, StepRequest
 
@@ -28,6 +37,7 @@ WATCHED = 500  # substeps in a row before the report: some periods of the vibrat
 FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
 PASSING = 0.5  # of the allowed error, for what is gone once flow comes to rest; the rest is for what adds up
 LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
+SOLVED = 1e-9  # of the changes of the whole run: what Newton's method may leave of them is no error of time steps
 
 
 @dataclass(frozen=True)
@@ -59,6 +69,9 @@ class ErrorEstimator:
 
     The end of a substep, and of rejected ones, shows how far the motion will go. That holds only until accepted states have
     come as far: a long substep may end on the peak of a short load.
+
+    Changes count from the start of the stage (``begun``): those of a small pumping are not lost in what a large load did
+    before it. Smaller ones than SOLVED/tolerance of those since the start of the run are not followed.
     """
 
     def __init__(
@@ -74,7 +87,8 @@ class ErrorEstimator:
         self.adding = 1.0 - PASSING if self.of_flow and cast(FlowRule, stepper).has_passing_error else 1.0
         # where fracture flow begins anew, since earlier steps do not predict later ones
         self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_flow and self.tolerance else {}
-        self.least = LEAST * self._volume() if self.of_flow else 0.0  # less is round-off
+        # less is round-off
+        self.least = LEAST * (self._volume() if self.of_flow else self.operators.scales.length) if by_sum else 0.0
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
@@ -131,7 +145,7 @@ class ErrorEstimator:
             error, passing = self._flow_error(dt, old, new)
             span = self._span(old.time, new.time) / self.adding
         else:
-            error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
+            error = local_error(self.operators, self.stepper, part, old, new)
             span = new.time - self.start if self.length is None else self.length
         over = error / (allowed * min(1.0, dt / span))
         if passes := passing / (PASSING * allowed) < over:
@@ -212,17 +226,40 @@ class ErrorEstimator:
         kept = {name: getattr(self, name) for name in ("last", "guess", "until", "error_now", "error_most")}
         return {"farthest": self.largest, **kept, **self.follows.as_progress()}
 
+    def begun(self, state: State) -> State:
+        """A state with which the stage begins, with what its changes count from. It has the same vectors. Collective."""
+        if self.tolerance is None or not self.finest:
+            return state
+        moved = state.motion.values().displacement.copy()
+        return replace(state, stage_start=StageStart(moved, self._compressed(state)))
+
     def _size(self, state: State) -> float:
-        """Largest displacement, or the volume that walls and compression of the fluid have taken up or released.
+        """Largest displacement, or the volume that walls and compression have taken up or released, in the stage.
 
         Each counts by itself: in a sealed fracture both are the same, and fluid that stays where it is adds up to nothing.
         """
-        if not self.of_flow:
+        if self.tolerance is None or not self.finest:
             return largest_displacement(self.operators, state)
-        moved, compression = self._sum(self._room(state.motion.displacement)), compression_of(self.operators, state)
-        if compression is not None and self.operators.flow is not None:
-            moved += self._sum(self.operators.flow.at_nodes(compression.held))
-        return max(moved, self.least)
+        ever = self._changed(state, None)
+        changed = ever if state.stage_start is None else self._changed(state, state.stage_start)
+        return max(changed, self.least, SOLVED / self.tolerance * ever)
+
+    def _changed(self, state: State, since: StageStart | None) -> float:
+        """The same of a stage, or of the run, as it is. Collective."""
+        if not self.of_flow:
+            return largest_displacement(self.operators, state, since)
+        walls = displacement_since(state, since)
+        moved, compressed = self._sum(self._room(walls)), self._compressed(state)
+        walls.destroy()
+        if compressed is None:
+            return moved
+        before = None if since is None else since.compressed
+        return moved + self._sum(compressed if before is None else compressed - before)
+
+    def _compressed(self, state: State) -> Floats | None:
+        """Fluid (f,) that compression holds at this rank's flow nodes [volume per thickness]; None without. Collective."""
+        found, flow = compression_of(self.operators, state), self.operators.flow
+        return None if found is None or flow is None else flow.at_nodes(found.held)
 
     def _volume(self) -> float:
         """Volume of all fractures at their initial apertures [volume per thickness]. Collective."""

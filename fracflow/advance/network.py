@@ -18,7 +18,7 @@ from fracflow.model.network_parts import NetworkComponent, NetworkComponents, co
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
-from fracflow.model.undrained import change_volume, close, sum_balances
+from fracflow.model.undrained import FaintParts, change_volume, close, sum_balances
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import AREA, FLOW_RATE
@@ -38,15 +38,25 @@ class _Closed:
     """Loads with the undrained components closed, and the wells of each.
 
     gives   (k,) parts whose walls change their volume
-    stores  (k,) parts whose level storage alone settles; None where there are none, on any rank
-    faint   (k,) those of them whose balances are summed in ``loads``
+    stores  (k,) parts whose level storage alone settles
+    given   (k,) prescribed pressures of each part that stores
+    is_any  whether there is a part of either kind, on any rank
     """
 
     loads: Loads
     parts: tuple[tuple[NetworkComponent, tuple[str, ...], bool], ...]
     gives: Bools
-    stores: Bools | None = None
-    faint: Bools | None = None
+    stores: Bools
+    given: Floats
+    is_any: bool
+
+
+@dataclass(frozen=True, eq=False)
+class StepBegin:
+    """A step that a rule, with its coefficients, begins at a state: a part may store next to nothing in it."""
+
+    state: State
+    alphas: Alphas
 
 
 class FlowNetwork:
@@ -63,11 +73,10 @@ class FlowNetwork:
         self._parts: NetworkComponents | None = None
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self._summed: dict[tuple[Loads, bool, bool], _Closed] = {}
-        self._begins: tuple[weakref.ref[State], Alphas] | None = None  # the step under way, of a rule that stores
-        self._faint_parts: dict[tuple[Loads, bool, bool], Bools] = {}
+        self._little: dict[tuple[Loads, bool, bool], tuple[weakref.ref[StepBegin], Bools]] = {}
         self.version = 0
-        # weak, as above: a state that is done with is freed, and a new one may have its id
-        self._found_at: tuple[weakref.ref[State] | None, int] = (None, 0)
+        # weak: a state that is done with is freed, and a new one may have its id
+        self._found_at: tuple[weakref.ref[State] | None, int, Conduction | None] = (None, 0, None)
 
     def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
@@ -75,12 +84,18 @@ class FlowNetwork:
             self.log(marked(line))
         self._has_logged_digits = True
 
-    def close(self, loads: Loads, stores: bool) -> Loads:
+    def close(self, loads: Loads, stores: bool, begin: StepBegin | None = None) -> Loads:
         """The same loads with the undrained components closed, where nothing is stored. Collective.
 
         stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
+        begin   of the step, in which a part may store less than the round-off of what it conducts
         """
-        return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
+        if self.model.operators.flow is None:
+            return loads
+        found = self._found(loads, stores)
+        if begin is None or not found.is_any or min(begin.alphas.a1, begin.alphas.b1) <= 0.0:
+            return found.loads
+        return self._by_storage((loads, stores, False), found, begin).loads
 
     def level(self, loads: Loads, state: State) -> Loads:
         """The same loads for the first instant of a stage with inertia: undrained components keep their mean pressure.
@@ -178,35 +193,44 @@ class FlowNetwork:
         key = (loads, stores, at_start)
         if key not in self._closed:
             self._closed[key] = self._make(loads, stores, at_start)
-        found = self._closed[key]
-        begun, alphas = self._begins or (lambda: None, None)
-        if found.stores is None or alphas is None or (state := begun()) is None:
-            return found
-        if key not in self._faint_parts:
-            self._faint_parts[key] = found.stores & self._store_little(found.gives, state, alphas)
-        return self._with_sums(key, found, self._faint_parts[key])
+        return self._closed[key]
 
-    def _with_sums(self, key: tuple[Loads, bool, bool], found: _Closed, faint: Bools) -> _Closed:
-        """The same with the balances of the faint parts (k,) summed. Collective."""
+    def _by_storage(self, key: tuple[Loads, bool, bool], found: _Closed, begin: StepBegin) -> _Closed:
+        """The same with the balances of the parts summed that store next to nothing in a step. Collective."""
         comm, last = self.model.operators.layout.comm, self._summed.get(key)
-        if not comm.allreduce(bool(faint.any()), op=MPI.LOR):
+        known, little = self._little.get(key, (lambda: None, found.gives))
+        if known() is not begin:
+            little = (found.stores | (found.given > 0.0)) & self._store_little(found.gives, begin)
+            self._little[key] = weakref.ref(begin), little
+        if not comm.allreduce(bool(little.any()), op=MPI.LOR):
             return found
-        is_same = last is not None and last.faint is not None and np.array_equal(last.faint, faint)
+        is_same = last is not None and last.loads.faint is not None and np.array_equal(last.loads.faint.faint, little)
         if last is None or not comm.allreduce(is_same, op=MPI.LAND):
             if last is not None:
                 destroy(last.loads.summed)
                 self.version += 1
-            assert self._parts is not None
-            summed = sum_balances(self.model.operators, self._parts, faint, found.gives)
-            last = self._summed[key] = replace(found, loads=replace(found.loads, summed=summed), faint=faint)
+            last = self._summed[key] = self._with_sums(found, little)
         return last
 
-    def _store_little(self, gives: Bools, state: State, alphas: Alphas) -> Bools:
-        """Parts (k,) that store less at a state, in a step of a rule, than the round-off of what they conduct. Collective.
+    def _with_sums(self, found: _Closed, little: Bools) -> _Closed:
+        """The same by which of its parts (k,) store next to nothing. Collective."""
+        comm, parts = self.model.operators.layout.comm, self._parts
+        assert parts is not None
+        chosen, summed = found.stores & little, None
+        if comm.allreduce(bool(chosen.any()), op=MPI.LOR):
+            summed = sum_balances(self.model.operators, parts, chosen, found.gives)
+        faint = FaintParts(parts, little, found.given)
+        return replace(found, loads=replace(found.loads, summed=summed, faint=faint))
+
+    def _store_little(self, gives: Bools, begin: StepBegin) -> Bools:
+        """Parts (k,) that store less in a step than the round-off of what they conduct. Collective.
 
         Walls give at least as much as one joint and the rock beside it do, each L wide, between walls that are held.
         """
-        ops, parts, conduction = self.model.operators, self._parts, self._conduction(state)
+        state, alphas = begin.state, begin.alphas
+        last, _, known = self._found_at
+        conduction = known if known is not None and last is not None and last() is state else self._conduction(state)
+        ops, parts = self.model.operators, self._parts
         assert parts is not None
         network, ends, count = ops.network, parts.ends, len(parts.roots)
         normal = state.sections.tangent[:, -1, -1].reshape(-1, ops.joints.points).max(axis=1, initial=0.0)
@@ -220,17 +244,13 @@ class FlowNetwork:
         np.maximum.at(largest, parts.own, sent)
         return np.asarray(stores < FAINT * parts.largest(largest))
 
-    def update(self, state: State, alphas: Alphas | None = None) -> None:
-        """Find the components at a state, if they are not those that were found last. Collective.
-
-        alphas  of the step that begins there, where a part may store less than the round-off of what it conducts
-        """
-        self._begins = (weakref.ref(state), alphas) if alphas is not None and min(alphas.a1, alphas.b1) > 0.0 else None
-        self._faint_parts.clear()
-        last, version = self._found_at
+    def update(self, state: State) -> None:
+        """Find the components at a state, if they are not those that were found last. Collective."""
+        last, version, _ = self._found_at
         if last is None or last() is not state or version != self.version:
-            self.check(self._conduction(state))
-            self._found_at = weakref.ref(state), self.version
+            conduction = self._conduction(state)
+            self.check(conduction)
+            self._found_at = weakref.ref(state), self.version, conduction
 
     def _conduction(self, state: State) -> Conduction:
         ops = self.model.operators
@@ -313,10 +333,20 @@ class FlowNetwork:
             wells, moves = tuple(name for name, root in roots.items() if root == part.root), parts.at_root(gives, part)
             closed.append((part, wells, moves))
             closures.append(close(operators, parts, part, moves and not at_start, parts.at_root(holds, part)))
-        by_storage = settled & ~parts.any_of(drained)
-        has = stores and not at_start and operators.layout.comm.allreduce(bool(by_storage.any()), op=MPI.LOR)
         closes = replace(loads, closures=tuple(closures)) if closed else loads
-        return _Closed(closes, tuple(closed), gives, by_storage if has else None)
+        if not stores or at_start:
+            nothing = np.zeros(len(gives))
+            return _Closed(closes, tuple(closed), gives, nothing > 0.0, nothing, False)
+        by_storage, given = settled & ~parts.any_of(drained), self._given(loads) * (holds | gives)
+        is_any = operators.layout.comm.allreduce(bool(by_storage.any() or given.any()), op=MPI.LOR)
+        return _Closed(closes, tuple(closed), gives, by_storage, given, is_any)
+
+    def _given(self, loads: Loads) -> Floats:
+        """Prescribed pressures in each part (k,). Collective."""
+        parts, layout = self._parts, self.model.operators.layout
+        assert parts is not None
+        given = np.isin(layout.flow_numbers(self._first + np.arange(layout.flow_count)), loads.fixed_flow)
+        return parts.summed(np.bincount(parts.own[given], minlength=len(parts.roots)))
 
     def _node(self, vector: PETSc.Vec) -> int:
         local = vector.getArray(readonly=True)
@@ -363,7 +393,7 @@ class FlowNetwork:
 
     def _forget(self) -> None:
         destroy(*(found.loads.summed for found in self._summed.values()))
-        for kept in (self._closed, self._summed, self._faint_parts):
+        for kept in (self._closed, self._summed, self._little):
             kept.clear()
 
 

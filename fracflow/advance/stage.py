@@ -142,6 +142,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count, whole = stage.step_count(start), stage.time_step or 0.0
     estimator = ErrorEstimator(model, stage, stepper, start, progress)
+    state = state if progress else estimator.begun(state)
     stepping.explicit.log_steps(stepper, whole)
     if estimator.finest and not progress:
         log(note(f"stage {stage.title}: parts of steps by {estimator.statement}"))

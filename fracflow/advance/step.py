@@ -12,7 +12,7 @@ from fracflow._petsc import destroy, timed
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
-from fracflow.advance.network import FlowNetwork
+from fracflow.advance.network import FlowNetwork, StepBegin
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.slip_rate import creeps
 from fracflow.advance.wells import TRIES_A_LIMIT, Trials, names_of, reached_after, reached_before, through, well_step
@@ -25,7 +25,7 @@ from fracflow.model.energy import dissipated, update_balance, work_missed
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
-from fracflow.model.state import PreviousStep, State, StepReport
+from fracflow.model.state import PreviousStep, State, StepReport, Work
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.remarks import note
@@ -34,7 +34,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import Guess, StepProblem
-from fracflow.solve.request import StepRequest, StepRule, Work, begins_anew, rule_of
+from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
@@ -91,9 +91,9 @@ class Stepping:
         self.explicit = ExplicitSteps(model, self.network, log)
         self.counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
 
-    def closed(self, loads: Loads, stores: bool) -> Loads:
-        """The loads with undrained components closed; solvers for components that exist no longer are freed."""
-        found = self.network.close(loads, stores)
+    def closed(self, loads: Loads, stores: bool, begin: StepBegin) -> Loads:
+        """The loads of a step with undrained components closed; solvers for components that exist no longer are freed."""
+        found = self.network.close(loads, stores, begin)
         if self.network.version != self._network_version:
             self._network_version = self.network.version
             self.couplings.forget_closures()
@@ -228,22 +228,22 @@ class SingleStep:
         loads = request.loads if stepper.inertia else solvers.standing(request.loads)
         request = replace(request, loads=loads)
         rule = rule_of(stepper, state, request, self.stepper)
-        trials = Trials(loads, state)
+        trials, begin = Trials(loads, state), StepBegin(state, rule.alphas)
         if ops.flow is not None:
-            network.update(state, rule.alphas)
+            network.update(state)
         trial = self._foreseen(rule, state, request)
         for reached in trials:
             limited = solvers.limited(loads, reached)
-            asked = replace(request, loads=solvers.closed(limited, stepper.storage))
+            asked = replace(request, loads=solvers.closed(limited, stepper.storage, begin))
             problem = StepProblem(ops, state, asked, rule, trial, solvers.work)
             try:
                 report = solvers.couplings.of(asked.loads).solve(problem)
                 new = accept(problem, state.energy)
-                digits, is_same, full = self._checked(problem, new, limited, stepper.storage)
+                digits, is_same, full = self._checked(problem, new, limited, stepper.storage, begin)
                 trial = None if is_same else problem.initial_guess()
             except NotConverged as error:
                 trials.fails(error, problem.tried)
-                if self._is_closed(problem, limited, stepper.storage):
+                if self._is_closed(problem, limited, stepper.storage, begin):
                     full = network.overfull(limited, stepper.storage, problem)
                     if not full:
                         raise
@@ -279,7 +279,7 @@ class SingleStep:
         return before.getArray(readonly=True) * request.length, state.pressure.getArray().copy()
 
     def _checked(
-        self, problem: StepProblem, new: State, loads: Loads, stores: bool
+        self, problem: StepProblem, new: State, loads: Loads, stores: bool, begin: StepBegin
     ) -> tuple[float, bool, frozenset[Limit]]:
         """Digits of a solved state, whether it has the components it was solved with, and limits that wells come to there.
 
@@ -289,18 +289,18 @@ class SingleStep:
         try:
             refuse_jumps(model.operators.blocks, model.operators.joints, problem.state.sections, new.sections, new.time)
             digits = check_digits(problem, new, model.scene.accuracy.digits, network.log_digits)
-            is_same = self._is_closed(problem, loads, stores)
+            is_same = self._is_closed(problem, loads, stores, begin)
             return digits, is_same, network.overfull(loads, stores, problem) if is_same else frozenset()
         except SolveError:
             new.destroy()
             raise
 
-    def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
+    def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool, begin: StepBegin) -> bool:
         """Whether a solved or failed trial still has the network components that it was solved with. Collective."""
         if problem.conduction is None:
             return True
         self.solvers.network.check(problem.conduction)
-        return self.solvers.network.close(loads, stores) is problem.loads
+        return self.solvers.network.close(loads, stores, begin) is problem.loads
 
     def _totals(
         self, stepper: Stepper, problem: StepProblem, request: StepRequest, reached: frozenset[Limit], new: State

@@ -12,7 +12,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.integrators import Stepper
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
-from fracflow.model.state import State
+from fracflow.model.state import StageStart, State
 
 LEAST = 1e-9  # of the length of a joint, or the volume of fractures: smaller motions need no accuracy
 
@@ -20,23 +20,37 @@ LEAST = 1e-9  # of the length of a joint, or the volume of fractures: smaller mo
 def step_error(
     operators: Operators, stepper: Stepper, dt: float, old: State, new: State, largest: float = 0.0
 ) -> float:
-    """Largest local error of a node's displacement over a step, relative to the largest displacement.
+    """Largest local error of a node's displacement over a step, relative to the largest displacement of the run.
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
     largest  that of earlier states [length]; by default that of the end of the step
 
     Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
-    here = float(_error_sizes(operators, stepper, dt, old, new).max(initial=0.0))
-    error = operators.layout.comm.allreduce(here, op=MPI.MAX)
     moved = max(largest, largest_displacement(operators, new))
-    return error / max(moved, LEAST * operators.scales.length)
+    return local_error(operators, stepper, dt, old, new) / max(moved, LEAST * operators.scales.length)
 
 
-def largest_displacement(operators: Operators, state: State) -> float:
-    """Largest displacement of any node [length]. Collective."""
-    here = float(np.linalg.norm(_nodal(operators, state.motion.displacement), axis=1).max(initial=0.0))
+def local_error(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> float:
+    """Largest local error of a node's displacement over a step, or over one of its equal parts [length]. Collective."""
+    here = float(_error_sizes(operators, stepper, dt, old, new).max(initial=0.0))
     return operators.layout.comm.allreduce(here, op=MPI.MAX)
+
+
+def largest_displacement(operators: Operators, state: State, since: StageStart | None = None) -> float:
+    """Largest displacement of any node [length], of the run or ``since`` a stage began. Collective."""
+    moved = displacement_since(state, since)
+    here = float(np.linalg.norm(_nodal(operators, moved), axis=1).max(initial=0.0))
+    moved.destroy()
+    return operators.layout.comm.allreduce(here, op=MPI.MAX)
+
+
+def displacement_since(state: State, since: StageStart | None) -> PETSc.Vec:
+    """Displacements of the solid unknowns, of the run or ``since`` a stage began, in a new vector [length]."""
+    moved = state.motion.displacement.copy()
+    if since is not None:
+        moved.getArray()[:] -= since.displacement
+    return moved
 
 
 def _error_sizes(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Floats:

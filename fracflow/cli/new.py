@@ -17,10 +17,10 @@ from fracflow.mesh.facets import outer_besides, spot
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
-from fracflow.scene.advice import degrees
 from fracflow.scene.geometry import read_traces
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import parse_toml, write_key, write_value
+from fracflow.scene.unusual import degrees
 from fracflow.storage.files import create_text, read_text, shown_plain
 
 MARGIN = 0.25  # of the larger extent of traces, from them to the sides

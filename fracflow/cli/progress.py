@@ -25,8 +25,8 @@ from fracflow.storage.files import shown_plain
 if TYPE_CHECKING:
     from fracflow.advance.step import Step
     from fracflow.cli.bar import Bar
+    from fracflow.model.state import TrialProgress
     from fracflow.scene.scene import Scene
-    from fracflow.solve.request import TrialProgress
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given

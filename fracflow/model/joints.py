@@ -24,9 +24,9 @@ from fracflow.model.layout import add_blocks, add_transposed, create_matrix, mat
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
-from fracflow.scene.advice import slight
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import STRESS
+from fracflow.scene.unusual import slight
 
 RESPONSE = (
     "traction", "tangent", "stored", "inelastic", "strength", "utilisation", "is_sliding", "is_open", "margin",

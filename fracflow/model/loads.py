@@ -20,7 +20,7 @@ from fracflow.model.properties import initial_pressure, initial_stress, outward,
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.model.terms.term import held_without_inertia
 from fracflow.model.unbounded import held_walls, stress_force
-from fracflow.model.undrained import Closure, SummedBalances
+from fracflow.model.undrained import Closure, FaintParts, SummedBalances
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -64,7 +64,8 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
-    ``summed`` does so where less is stored than the round-off of what the part conducts.
+    ``summed`` does so where less is stored than the round-off of what the part conducts. ``faint`` are all parts of that kind,
+    those with a prescribed pressure too.
     Terms fix ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) in steps without inertia, which
     ``at_rest`` marks.
     """
@@ -78,6 +79,7 @@ class Loads:
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
     summed: SummedBalances | None = None
+    faint: FaintParts | None = None
     resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     at_rest: bool = False

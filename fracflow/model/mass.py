@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 MOST_VECTORS = 120  # of Lanczos
-SHARP = 1e-13  # relative, of the eigenvalue
+CONVERGED = 1e-13  # relative, of the eigenvalue
 PASSES = 2  # in which the stable step is found with D: none is above it
 
 
@@ -129,7 +129,7 @@ def by_lanczos(operators: Operators, inverse: PETSc.Mat, stiffness: PETSc.Mat | 
             values, vectors = np.linalg.eigh(np.diag(alpha) + np.diag(beta, 1) + np.diag(beta, -1))
             largest, rest = float(values[-1]), size * abs(float(vectors[-1, -1]))
             beta.append(size)
-        if rest <= SHARP * largest and (count or not size):
+        if rest <= CONVERGED * largest and (count or not size):
             break
         now.scale(1.0 / size)
         stiff.mult(now, moved)
@@ -140,4 +140,4 @@ def by_lanczos(operators: Operators, inverse: PETSc.Mat, stiffness: PETSc.Mat | 
             found.axpy(-size, before)
         before, now, found = now, found, before
     destroy(now, before, moved, found)
-    return largest + rest if rest > SHARP * largest else largest
+    return largest + rest if rest > CONVERGED * largest else largest

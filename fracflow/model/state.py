@@ -132,6 +132,17 @@ class PreviousStep:
         destroy(self.velocity, self.uptake)
 
 
+class StageStart(NamedTuple):
+    """Where a stage began, on this rank, to which ``accuracy.tolerance`` takes its changes.
+
+    displacement  (n,) of the solid unknowns [length]
+    compressed    (f,) fluid that compression held at the flow nodes [volume per thickness]; None of an incompressible one
+    """
+
+    displacement: Floats
+    compressed: Floats | None
+
+
 FRACTURES = ""
 """Stands for fractures with prescribed pressures among the names of wells."""
 
@@ -191,6 +202,7 @@ class State:
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]
     max_dissipation  largest dissipation of the flow at the end of a step since the start [energy/time per thickness]
+    stage_start  where the stage began, if its steps are as long as an error allows; else None
     """
 
     time: float
@@ -212,6 +224,7 @@ class State:
     volumes: FluidVolumes = FluidVolumes()
     memory: Mapping[str, Floats] = field(default_factory=dict)
     adjacent_steps: tuple[float, float] = (0.0, 0.0)
+    stage_start: StageStart | None = None
 
     @property
     def unaccounted_volume(self) -> float:
@@ -300,3 +313,24 @@ class StepReport:
 
 COUNTS = tuple(each.name for each in fields(StepReport) if each.metadata.get("adds up"))
 """Names of what adds up in a report."""
+
+
+@dataclass
+class TrialProgress:
+    """The trial under way, as a screen shows it.
+
+    iteration   of Newton's method
+    unbalanced  share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
+    """
+
+    iteration: int = 0
+    unbalanced: float = np.inf
+
+
+@dataclass
+class Work:
+    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
+
+    evaluations: int = 0
+    factorisations: int = 0
+    trial: TrialProgress = field(default_factory=TrialProgress)

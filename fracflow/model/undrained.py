@@ -172,6 +172,39 @@ class SummedBalances:
         self.members.destroy()
 
 
+@dataclass(frozen=True, eq=False)
+class FaintParts:
+    """Parts of the network (k,) that store less than the round-off of what they conduct.
+
+    Pressures there differ by less than their round-off, and so does the flow that they drive from node to node. The volumes
+    that the parts store have all digits. Balances say how much flows, and how much prescribed pressures bring.
+
+    count  (k,) prescribed pressures in each
+    """
+
+    parts: NetworkComponents
+    faint: Bools
+    count: Floats
+
+    def balanced(self, conduction: Floats, left: Floats, given: Ints) -> Floats:
+        """``conduction`` (q,) at this rank's flow nodes, with which their balances are exact [volume rate per thickness].
+
+        left (q,) imbalance of (3.20), 0 at the ``given`` local numbers (n,) of prescribed pressures. These bring what is
+        lacking, each of a part an equal share. Collective.
+        """
+        at = self.parts.own
+        wrong = np.where(self.faint[at], left, 0.0)
+        lacks = self.parts.summed(np.bincount(at, wrong, len(self.faint)))
+        found: Floats = conduction - wrong
+        found[given] += (lacks / np.maximum(self.count, 1.0))[at[given]]
+        return found
+
+    def known(self, given: Ints) -> Bools:
+        """Whether each of those nodes (n,) is the only one of such a part, so that its inflow has all digits."""
+        at = self.parts.own[given]
+        return np.asarray(self.faint[at] & (self.count[at] == 1.0))
+
+
 def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:
     """Add values (n,) of this rank's rows to the diagonal. Collective."""
     diagonal = matrix.getDiagonal()

@@ -24,7 +24,16 @@ from fracflow.mesh.data import Ints
 from fracflow.mesh.slabs import Distributed, Order
 from fracflow.model.operators import Operators
 from fracflow.model.setup import on_first, on_root
-from fracflow.model.state import FluidVolumes, Forces, Motion, PreviousStep, SectionHistory, Sections, State
+from fracflow.model.state import (
+    FluidVolumes,
+    Forces,
+    Motion,
+    PreviousStep,
+    SectionHistory,
+    Sections,
+    StageStart,
+    State,
+)
 from fracflow.model.terms.term import Term
 from fracflow.storage.reader import Layout
 from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, piece_rows, read_sealed, slabs_of, write_slabs
@@ -58,6 +67,7 @@ SHARED = 1 << 26  # bytes of a checkpoint: below, rank 0 reads it before other r
 MEMORY = "mean_velocity"
 ANCHOR = "anchor"
 PRESTRESS = "prestress"
+STAGE_START = ("stage_start/displacement", "stage_start/compressed")  # where an error chooses the steps of a stage
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 ENDLESS = ("sections/strength", "sections/margin", "sections/utilisation")  # inf where a joint never fails
 DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
@@ -176,6 +186,11 @@ def state_arrays(operators: Operators, state: State) -> dict[str, Distributed]:
     for name, vector in (memory | of_terms).items():
         found[name] = orders.solid.of(vector.getArray(readonly=True)[used])
     found |= {name: orders.flow.of(rate.getArray(readonly=True)) for name, rate in rates if rate is not None}
+    if state.stage_start is not None:
+        moved, compressed = state.stage_start
+        found[STAGE_START[0]] = orders.solid.of(moved[used])
+        if compressed is not None:
+            found[STAGE_START[1]] = orders.flow.of(compressed)
     joints, points = len(blocks.joints.ids), operators.joints.points
     at_sections = {
         f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "history"
@@ -235,6 +250,14 @@ def restore_state(operators: Operators, file: SealedFile | None, notes: Mapping[
             vector.setArray(found.rows(name, orders.flow))
         return vector
 
+    def stage_start() -> StageStart | None:
+        if STAGE_START[0] not in found.layout:
+            return None
+        moved = np.zeros(layout.solid_count)
+        moved[used] = found.rows(STAGE_START[0], orders.solid)
+        compressed = found.rows(STAGE_START[1], orders.flow) if STAGE_START[1] in found.layout else None
+        return StageStart(moved, compressed)
+
     def saved(name: str) -> PETSc.Vec | None:
         return flow(name) if name in found.layout else None
 
@@ -278,6 +301,7 @@ def restore_state(operators: Operators, file: SealedFile | None, notes: Mapping[
         volumes=FluidVolumes(**notes.get("volumes", {})),
         memory={term.name: found.memory(term, orders.joints) for term in operators.terms if term.has_memory},
         adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
+        stage_start=stage_start(),
     )
 
 
@@ -348,6 +372,8 @@ def _check_shapes(layout: Layout, operators: Operators, unknowns: int, remembers
     shapes |= {name: (sizes.flow_nodes,) for name in flow}
     shapes |= {MEMORY: (unknowns,)} if remembers else {}
     shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in layout}
+    start = zip(STAGE_START, ((unknowns,), (sizes.flow_nodes,)), strict=True)
+    shapes |= {name: shape for name, shape in start if name in layout}
     kept = (*_names_of_terms(operators, layout), *([ANCHOR] if ANCHOR in layout else []))
     shapes |= {name: (unknowns,) for name in kept}
     parts = {

@@ -213,10 +213,11 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     if view.flows and max(lasts, default=0.0) > 0.0:
         assert view.scene.fluid is not None
         time = min(each for each in lasts if each > 0.0)
-        held = view.scene.fluid.compressibility * np.nan_to_num(joints.aperture)
-        reach = front_length(joints.conducting, joints.normal, held, time).min(axis=1)
+        gap = np.nan_to_num(joints.aperture)
+        reach = front_length(joints.conducting, joints.normal, view.scene.fluid.compressibility * gap, time).min(axis=1)
         what = f"reach of a pressure in {view.scene.time_text(time, 3)} / {PER_FRONT}"
-        yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
+        # where it comes less far than the gap is wide, nothing is meant to run
+        yield from need(what, np.where(reach > gap.max(axis=1), reach, np.inf) / PER_FRONT)
 
 
 def _in_rock(view: CheckInput, worst: WorstCell, extent: float) -> Iterator[Need]:

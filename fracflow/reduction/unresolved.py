@@ -21,7 +21,7 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
 CARRIED = 2.0  # cells over joints, from which on waves of single joints do not get out
-FAR = 0.1  # share of the area in which cells are so large
+MOST_COARSE = 0.1  # share of the area in which cells are so large
 
 
 def unresolved(
@@ -39,14 +39,16 @@ def unresolved(
     view = on_root(comm, lambda: None if mesh is None else CheckInput(scene, gather(scene, mesh, wells)))
     weak, drops = comm.bcast(None if view is None or mesh is None else (_weak_joints(view, mesh), _drops(view)), root=0)
     rock = RockSizes(
-        worst_of(scene, cells), cells.exceeded_in(FAR) if drops else 0.0, None if weak is None else weak.beside(cells)
+        worst_of(scene, cells),
+        cells.exceeded_in(MOST_COARSE) if drops else 0.0,
+        None if weak is None else weak.beside(cells),
     )
     return on_root(comm, lambda: [] if view is None or mesh is None else _unresolved(view, mesh, rock)) or []
 
 
 @dataclass(frozen=True)
 class RockSizes:
-    """Sizes of the cells of all ranks: the worst, the one that a share FAR of the rock exceeds, growth beside fractures."""
+    """Sizes of the cells of all ranks: the worst, that which MOST_COARSE of the rock exceeds, growth beside fractures."""
 
     worst: WorstCell
     far: float

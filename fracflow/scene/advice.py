@@ -1,11 +1,10 @@
-"""Values that are allowed but unusual: a unit may have been forgotten, a step may be too long."""
+"""Statements of a scene that will do nothing, or make its results worse than they need be."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -16,79 +15,36 @@ from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, TimeTable
-from fracflow.scene.units import AREA, COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.scene.units import LENGTH, STRESS, TIME
+from fracflow.scene.unusual import degrees, unusual
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
 LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
-FAR = 10.0  # extents of a map in degrees that lie between it and (0, 0)
-SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock
-DECIMALS = 3  # that coordinates on a plane may have
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
-
-# key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
-USUAL = {
-    "rock": {"youngs_modulus": (STRESS, 1e8, 1e12), "density": (DENSITY, 500.0, 1e4)},
-    "fracture": {
-        "normal_stiffness": (STIFFNESS, 1e6, 1e16),
-        "shear_stiffness": (STIFFNESS, 1e5, 1e16),
-        "aperture": (LENGTH, 1e-7, 0.1),
-        "hydraulic_aperture": (LENGTH, 1e-8, 0.02),
-        "hydraulic_opening_ratio": ("", 0.01, 2.0),
-        "friction_coefficient": ("", 0.01, 2.0),
-        "direct_effect": ("", 1e-4, 0.1),
-        "evolution_effect": ("", 1e-4, 0.1),
-        "characteristic_slip": (LENGTH, 1e-7, 1.0),
-    },
-    "leak_off": {"permeability": (AREA, 1e-24, 1e-10), "storage": (COMPRESSIBILITY, 1e-13, 1e-7)},
-    "fluid": {
-        "viscosity": (VISCOSITY, 1e-5, 0.5),
-        "density": (DENSITY, 0.1, 3e3),
-        "compressibility": (COMPRESSIBILITY, 1e-11, 1e-4),
-    },
-}
 
 
 def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
-    return [
+    return [  # the more of a result is wrong, the earlier
         *degrees(scene),
+        *unusual(scene),
         *_idle(scene),
         *_timeless(scene),
         *_without_flow(scene),
         *_shut_wells(scene),
-        *_of_one_length(scene),
-        *_reflecting(scene),
+        *_fading(scene),
         *_too_long(scene),
-        *_ringing(scene),
-        *_costly(scene),
         *_let_go(scene),
         *_bouncing(scene),
-        *_fading(scene),
+        *_reflecting(scene),
+        *_ringing(scene),
+        *_of_one_length(scene),
+        *_costly(scene),
         *_growing(scene),
         *_jagged(scene),
-        *(_unusual(scene) if scene.units != "none" else ()),
     ]
-
-
-def degrees(scene: Scene) -> Iterator[str]:
-    """A line on traces that are longitudes and latitudes: all in their range, far from (0, 0) for their size, of many digits.
-
-    A plane has its origin in a corner or the middle of a sample, or far away, beyond the range of degrees.
-    """
-    traces = scene.geometry.fracture if scene.geometry is not None else ()
-    if not traces:
-        return
-    points = np.concatenate([np.asarray(trace.points, dtype=float) for trace in traces])
-    extent, middle = float(np.ptp(points, axis=0).max()), points.mean(axis=0)
-    is_fine = np.abs(points - np.round(points, DECIMALS)) > 1e-9
-    if np.all(np.abs(points) <= (180.0, 90.0)) and FAR * extent < np.linalg.norm(middle) and is_fine.mean() > 0.5:
-        unit = scene.unit_system.behind(LENGTH)
-        yield (
-            f"geometry: all traces lie within {extent:.3g}{unit} around ({middle[0]:.6g}, {middle[1]:.6g}), as longitudes and"
-            f" latitudes would; degrees are taken as{unit or ' lengths'}: project the map to a plane first, such as UTM"
-        )
 
 
 def _idle(scene: Scene) -> Iterator[str]:
@@ -384,40 +340,3 @@ def _transit(scene: Scene) -> float | None:
         if rock.s_speed:
             slowness = max(slowness, 1.0 / rock.s_speed)
     return size / 2**geometry.refine * slowness
-
-
-def slight(scene: Scene) -> Iterator[str]:
-    """An initial stress that is next to nothing beside rock and joints: MPa may have been written as Pa."""
-    stress = scene.initial_stress if scene.units != "none" else None
-    stiff = max((rock.youngs_modulus or 0.0 for rock in scene.rock.values()), default=0.0) * scene.unit_system.to_si(
-        STRESS
-    )
-    if stress is None or any(stress.gradient.model_dump().values()) or stiff < USUAL["rock"]["youngs_modulus"][1]:
-        return
-    given = {axis: getattr(stress, axis) for axis in ("xx", "yy", "zz", "xy")}
-    axis = max(given, key=lambda each: abs(given[each]))
-    if 0.0 < abs(given[axis]) * scene.unit_system.to_si(STRESS) < SLIGHT:
-        unit = scene.unit_system.written(STRESS)
-        yield (
-            f"initial_stress.{axis} = {given[axis]:g} {unit} is the largest of it, next to nothing in rock: is its unit right?"
-            f' Numbers are in {unit}; give "{given[axis]:g} MPa" if that is meant'
-        )
-
-
-def _unusual(scene: Scene) -> Iterator[str]:
-    yield from slight(scene)
-    tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
-    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
-    leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]
-    tables += [(f"fracture.{name}.leak_off", rock, "leak_off") for name, rock in leaky]
-    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []
-    for path, table, kind in tables:
-        for key, (dimension, least, most) in USUAL[kind].items():
-            value = getattr(table, key)
-            if value is None or isinstance(value, Profile) or value == 0.0:
-                continue
-            in_si = value * scene.unit_system.to_si(dimension)
-            if not least <= in_si <= most:
-                stated = f"{value:g} {scene.unit_system.written(dimension)}".rstrip()
-                few = "small" if in_si < least else "large"
-                yield f"{path}.{key} = {stated} is unusually {few}: is its unit right?"

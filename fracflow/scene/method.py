@@ -354,9 +354,9 @@ class Accuracy(Table):
     """times that a step which does not converge is halved before the run stops; if not given 6, but 12 in a stage
     quasi-static that fills fractures without a step_error and without strength that falls with slip"""
     tolerance: Fraction | None = None
-    """error of results that time steps may make in a stage, over the largest change: steps are cut in substeps whose
-    estimated errors add up to no more; with inertia of displacements, without it of the volume stored in fractures; if
-    not given, every step is of length time_step [1]"""
+    """error of results that time steps may make in a stage, over its largest change since it began: steps are cut in
+    substeps whose estimated errors add up to no more; with inertia of displacements, without it of the volume stored in
+    fractures; if not given, every step is of length time_step [1]"""
     step_error: Fraction | None = None
     """largest error of displacement that a step may add, over the largest displacement so far: longer steps are halved,
     at most max_halvings times; takes the place of tolerance [1]"""

@@ -33,7 +33,7 @@ FOLD = 1.5
 stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
-FAR = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
+MOST_SLIP = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
 
@@ -98,7 +98,7 @@ class Notices:
             if group.law.creeps and len(group.sections):
                 far = max(far, float((history["sliding_rate"] / group.law.state_length(history)).max()) * length)
         far = self._model.operators.layout.comm.allreduce(far, op=MPI.MAX)
-        if far <= max(FAR, WIDENS * self._totals.far_slip):
+        if far <= max(MOST_SLIP, WIDENS * self._totals.far_slip):
             return
         self._totals.far_slip = far
         key = "accuracy.dynamic_slip_share = 0.1, or " if self._scene.method.stepper not in EXPLICIT else ""
@@ -106,7 +106,7 @@ class Notices:
         self._doubt(
             f"time {self._scene.time_text(state.time)}: a step with inertia slips {far:.3g} times the distance over which the"
             f" state of friction evolves: slip may be off by some per cent until it has ended, rates by more; {key} below"
-            f" {self._scene.time_text(FAR * step.dt / far, 2)}"
+            f" {self._scene.time_text(MOST_SLIP * step.dt / far, 2)}"
         )
 
     def _turning(self, step: Step) -> None:

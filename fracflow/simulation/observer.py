@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fracflow.advance.step import Step
-    from fracflow.solve.request import TrialProgress
+    from fracflow.model.state import TrialProgress
 
 
 class Observer:

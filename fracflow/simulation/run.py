@@ -330,7 +330,8 @@ def _steps(
                     stepper = stepper_of(scene, stage, "dynamic" if moves else "")
                     entered = stepping.enter(state, stepper, first_substep(stepping, stage, stepper, state.time))
                     state.destroy()
-                    state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
+                    state = replace(entered, stage_start=None)  # of the stage before
+                    going_on = {**(step.progress or {}), "moving": 1.0} if moves else {}
                 try:
                     for made in _steps_of(stage)(stepping, state, number, recorder.log, going_on):
                         if made.trial is not None:

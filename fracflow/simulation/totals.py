@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from fracflow.errors import SolveError
-from fracflow.model.state import COUNTS, StepReport
+from fracflow.model.state import COUNTS, StepReport, Work
 from fracflow.remarks import marked, note
-from fracflow.solve.request import Work
 
 EARLIER = {"told_factor": "reported_factor"}  # names in checkpoints of earlier versions
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic

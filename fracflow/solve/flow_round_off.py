@@ -138,10 +138,12 @@ def check_digits(problem: SectionProblem, new: State, limit: int, tell: Callable
         refuse_few(found, limit, new.time)
         if problem.conduction is not None and limit > 0:
             given, power = problem.loads.given_pressures, new.max_dissipation
+            if problem.loads.faint is not None:
+                given = given[~problem.loads.faint.known(given)]
             flow = significant_digits_of_flow(operators, problem.conduction, given, power)
             if flow.digits < limit:
-                fed = nodes_fed(operators, problem.conduction, problem.loads, new.time)
-                unfed = significant_digits_of_flow(operators, problem.conduction, given[~fed[given]], power)
+                pumped = nodes_fed(operators, problem.conduction, problem.loads, new.time)
+                unfed = significant_digits_of_flow(operators, problem.conduction, given[~pumped[given]], power)
                 refuse_few_of_flow(unfed, limit, new.time)
                 left = max(flow.digits, 0.0)
                 tell(

@@ -16,7 +16,7 @@ from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.rock_cost import direct, rock_choice
 
-FAR = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
+UNSOLVED_SHARE = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
 
 
 class Monolithic:
@@ -108,7 +108,7 @@ class Auto(WholeLU):
 
     def _solves_badly(self, problem: StepProblem, failure: NotConverged) -> bool:
         """Whether the linear solver may be why Newton's method came near a solution and not to it. Collective."""
-        if failure.kind == FLOATING or max(problem.residual.solid, problem.residual.flow) > FAR:
+        if failure.kind == FLOATING or max(problem.residual.solid, problem.residual.flow) > UNSOLVED_SHARE:
             return False
         return not self.newton.solves_both(problem)
 

@@ -14,7 +14,7 @@ from fracflow.solve.initial_rates import with_diagonal
 from fracflow.solve.options import solver_of
 
 MOST_ITERATIONS = 200
-SHARP = 1e-12  # relative change of the eigenvalue between two iterations
+CONVERGED = 1e-12  # relative change of the eigenvalue between two iterations
 SOFT = 1e-10  # of the first Rayleigh quotient: stiffness of a block that nothing else holds
 
 
@@ -78,7 +78,7 @@ def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Ve
         mass.mult(shape, force)
         weight = shape.dot(force)
         before, last = last, work / weight if weight > 0.0 else 0.0
-        if not last or abs(last - before) <= SHARP * last:
+        if not last or abs(last - before) <= CONVERGED * last:
             break
         force.scale(1.0 / np.sqrt(weight))
     solver.destroy()

@@ -22,10 +22,10 @@ from fracflow.model.compressibility import compression_of, lost, uptake_at, why_
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
+from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State, Work
 from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
-from fracflow.solve.request import StepRequest, StepRule, Work
+from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
@@ -272,8 +272,8 @@ class StepProblem:
         self._scale = None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
-        now = self.conduction.compression
-        self.taken_up = uptake_at(self.operators, self.state, self.alphas, self.fluid_before, now)
+        before, now = self.fluid_before, self.conduction.compression
+        self.taken_up = uptake_at(self.operators, self.state, self.alphas, before, now)
         if self.taken_up is not None:
             flow.getArray()[:] += self.taken_up
             rows += np.abs(self.taken_up)
@@ -308,8 +308,8 @@ class StepProblem:
         """
         summed, network, rate = self.loads.summed, self.operators.network, self.alphas.a1 / self.flow_scale()
         assert summed is not None and self.conduction is not None
-        now = self.conduction.compression
-        known = round_off_of_uptake(network, self.fluid_before, now, self.alphas.b1) + NOISE * UNIT_ROUND_OFF * rows
+        known = round_off_of_uptake(network, self.fluid_before, self.conduction, self.alphas.b1)
+        known += NOISE * UNIT_ROUND_OFF * rows
         if moved is not None:
             known += network.at_nodes(round_off_of_volumes(network, moved, self.alphas.a1))
         taken = stored if self.taken_up is None else stored + self.taken_up
@@ -355,6 +355,7 @@ class StepProblem:
         """Energy that the imbalance of the flow adds in this step, over the largest of the energy balance. Collective.
 
         Along a wide fracture flows are round-off of its pressure, and hide that the inflow of the whole of it is not balanced.
+        In a step that takes no time it is the power, over that of the flow.
         """
         if self.conduction is None:
             return 0.0
@@ -362,13 +363,17 @@ class StepProblem:
         dt, driving = self.time - self.state.time, self.pressure.getArray() - self.operators.flow.resting.getArray()
         spent = self.conduction.conductance @ np.ptp(self.conduction.pressure, axis=1) ** 2
         brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
-        left = self.flow_balance.getArray(readonly=True)
-        if self.loads.summed is not None:
-            left = self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
-        here = np.array([left @ driving, spent + brought])
+        here = np.array([self.flow_left() @ driving, spent + brought])
         missed, power = sum_over_ranks(here, self.operators.layout.comm)
-        largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
-        return abs(dt * float(missed)) / max(largest, TINY)
+        energies, span = (self.state.energy.values(), abs(dt)) if dt else ((), 1.0)
+        return span * abs(float(missed)) / max([span * float(power), *map(abs, energies), TINY])
+
+    def flow_left(self) -> Floats:
+        """Imbalance (q,) of the flow at this rank's nodes, with no sums of several [volume rate per thickness]. Collective."""
+        left = self.flow_balance.getArray(readonly=True)
+        if self.loads.summed is None:
+            return left
+        return self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
@@ -425,6 +430,9 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     if ops.flow is not None:
         assert problem.conduction is not None
         ops.flow.outflow(problem.conduction, conduction)
+        if problem.loads.faint is not None:
+            given, left = problem.loads.given_pressures, problem.flow_left()
+            conduction.setArray(problem.loads.faint.balanced(conduction.getArray(), left, given))
         drawn = ops.layout.flow_vector()
         ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
         drawn.axpy(1.0, conduction)

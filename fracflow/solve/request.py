@@ -1,4 +1,4 @@
-"""The request for a step, and the step of a stage, of which requests are substeps; the rule of a step, and its cost.
+"""The request for a step, and the step of a stage, of which requests are substeps; the rule of a step.
 
 A rule samples tables in time so that their whole integral enters the solution. With inertia, forces and flow rates are sampled
 so that the trapezoid's sum over the steps is the table's integral, and jumps of pressures likewise. Without it what is
@@ -9,9 +9,7 @@ as the rule takes the derivative of what is stored.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas, Stepper
@@ -227,24 +225,3 @@ def begins_anew(rule: Stepper, begin: float, previous: PreviousStep, request: St
     if any(begin < time < begin + 0.5 * dt for table in tables for time in table.jumps[0]):
         return True
     return ahead is None and any(begin < time < begin + dt for table in tables for time in table.times)
-
-
-@dataclass
-class TrialProgress:
-    """The trial under way, as a screen shows it.
-
-    iteration   of Newton's method
-    unbalanced  share of forces or flow that is out of balance, the larger one; infinite where no trial is under way
-    """
-
-    iteration: int = 0
-    unbalanced: float = np.inf
-
-
-@dataclass
-class Work:
-    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
-
-    evaluations: int = 0
-    factorisations: int = 0
-    trial: TrialProgress = field(default_factory=TrialProgress)

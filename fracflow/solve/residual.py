@@ -92,14 +92,17 @@ def round_off_of_volumes(network: Flow, moved: Floats, rate: float) -> Floats:
     return np.asarray(0.5 * rate * network.length[:, None] * known)
 
 
-def round_off_of_uptake(network: Flow, before: Compression | None, after: Compression | None, rate: float) -> Floats:
+def round_off_of_uptake(network: Flow, before: Compression | None, conduction: Conduction, rate: float) -> Floats:
     """The same of what compression takes up in a step, at flow nodes (n,): a difference of volumes held. Collective.
 
-    ``rate`` is beta_1. In a step of milliseconds it is 1e-9 of a wide fracture's fluid or less.
+    ``rate`` is beta_1. In a step of milliseconds it is 1e-9 of a wide fracture's fluid or less. Volumes have the digits of
+    the pressures that they follow, whose changes may be far less than those at rest.
     """
+    after = conduction.compression
     if before is None or after is None:
         return network.at_nodes(np.zeros_like(network.aperture))
     known = np.abs(before.held) + np.abs(after.held)
+    known = known + after.weight * (np.abs(conduction.pressure) + np.abs(network.resting_end))
     return network.at_nodes(NOISE * UNIT_ROUND_OFF * rate * known)
 
 

@@ -133,7 +133,7 @@ class FlowOnJoints:
             flow.getArray()[part.numbers] = 0.0
         through = conduction.conductance[:, None] * np.abs(conduction.pressure)
         terms = [float(np.abs(each).max(initial=0.0)) for each in (swept, through)]
-        known = round_off_of_uptake(network, problem.fluid_before, conduction.compression, problem.alphas.b1)
+        known = round_off_of_uptake(network, problem.fluid_before, conduction, problem.alphas.b1)
         size = np.abs(flow.getArray(readonly=True))
         beyond = float(np.subtract(size, known, out=size.copy(), where=np.isfinite(size)).max(initial=0.0))
         left, *sizes = over_ranks([beyond, *terms, largest(given)], self.operators.layout.comm)

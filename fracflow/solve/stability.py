@@ -22,7 +22,7 @@ from fracflow.solve.options import solver_of
 from fracflow.solve.period import sprung
 
 MOST_VECTORS = 40
-SHARP = 1e-4  # of the eigenvalue: how well it is known
+KNOWN = 1e-4  # of the eigenvalue: how well it is known
 SOFT = 1e-10  # of the normal stiffness, on sections that slide: it holds a block that is otherwise loose
 
 
@@ -86,7 +86,7 @@ def _weakening(operators: Operators, sections: Sections, past: SectionHistory, w
 
 
 class Share(NamedTuple):
-    """Ratio of weakening to the stiffness of the rock, the slip (s,) of its mode, and whether ``SHARP`` is met."""
+    """Ratio of weakening to the stiffness of the rock, the slip (s,) of its mode, and whether ``KNOWN`` is met."""
 
     value: float
     mode: Floats
@@ -179,7 +179,7 @@ def _arnoldi(compliance: _Compliance) -> Share:
         values, shapes = np.linalg.eig(matrix[:size, :size])
         best = int(np.argmax(values.real))
         share, shape = float(values[best].real), shapes[:, best].real
-        is_sharp = left * abs(shapes[-1, best]) <= SHARP * abs(share) or left <= 1e-14 * abs(share)
+        is_sharp = left * abs(shapes[-1, best]) <= KNOWN * abs(share) or left <= 1e-14 * abs(share)
         if is_sharp:
             break
         matrix[size, size - 1] = left

@@ -15,12 +15,12 @@ from rich.console import Console
 
 from fracflow.cli.progress import Pace, RunProgress, Screen, inside, spoken
 from fracflow.cli.run import run_with_progress
+from fracflow.model.state import TrialProgress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.request import TrialProgress
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
 AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)

@@ -7,12 +7,12 @@ import pytest
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import SolveError
+from fracflow.model.state import Work
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve.globalisation import Repetition
 from fracflow.solve.linear import KeptFactors, solves_both
 from fracflow.solve.newton import REPEATS, Newton
-from fracflow.solve.request import Work
 
 pytestmark = pytest.mark.serial
 LEAST = 1e-11

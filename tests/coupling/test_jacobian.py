@@ -9,7 +9,7 @@ from physics.test_flow_with_slip import OpensBySlip
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.advance.initial_state import equilibrium_state
-from fracflow.advance.network import FlowNetwork
+from fracflow.advance.network import FlowNetwork, StepBegin
 from fracflow.errors import InputError, NotConverged
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 from fracflow.laws import FLOW_LAWS
@@ -144,9 +144,9 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
 def sealed(model, state, alphas):
     """The network, and loads without a pressure anywhere, for a step from a state; what the rows of its parts are."""
     network = FlowNetwork(model)
-    network.update(state, alphas)
+    network.update(state)
     loads = replace(model.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
-    return network, network.close(loads, stores=alphas.a1 > 0.0)
+    return network, network.close(loads, alphas.a1 > 0.0, StepBegin(state, alphas))
 
 
 @pytest.mark.parametrize("stepper", [Steady(), Newmark(0.3, 0.6)], ids=["keeps", "sums"])

@@ -91,17 +91,20 @@ def test_rigid_walls_do_not_squeeze_fluid_out_of_the_books(shared_tmp, kind):
     run(load(shared_tmp / "scene.toml", [drained]), shared_tmp / "drained")
 
 
-@pytest.mark.parametrize("kind", ["steady", "quasi-static"])
-def test_apertures_over_four_decades_conduct(shared_tmp, kind):
-    """20 mm in a row with 2.5 um: 12 orders in d^3, and yet the wide one is drained by the thin one, at 12 mu L q/d^3."""
+@pytest.mark.parametrize("stage", ['"steady"', '"steady", time_step = 1', '"quasi-static", time_step = 1'])
+def test_apertures_over_four_decades_conduct(shared_tmp, stage):
+    """20 mm in a row with 2.5 um: 12 orders in d^3, and yet the wide one is drained by the thin one, at 12 mu L q/d^3.
+
+    Flow from node to node along the wide one has four digits, whose errors would add up to that of the pressure.
+    """
     comm = MPI.COMM_WORLD
     if comm.rank == 0:
-        (shared_tmp / "scene.toml").write_text(f'stage = [{{kind = "{kind}", time_step = 1, steps = 1}}]\n' + IN_A_ROW)
+        (shared_tmp / "scene.toml").write_text(f"stage = [{{kind = {stage}, steps = 1}}]\n" + IN_A_ROW)
     comm.barrier()
     run(load(shared_tmp / "scene.toml"), shared_tmp / "run")
     comm.barrier()
     found = read_history(shared_tmp / "run" / "history.h5")["probe/in/pressure"][-1]
-    assert found == pytest.approx(12e-3 * 2 * 1e-12 / 2.5e-6**3, rel=2e-3)  # eps d_1^3/d_2^3 is 1.1e-4
+    assert found == pytest.approx(12e-3 * (2 / 2.5e-6**3 + 2 / 0.02**3) * 1e-12, rel=1e-9)  # eps d_1^3/d_2^3 is 1.1e-4
     thinner = ["fracture.thin.aperture='20 nm'", "output.pictures=false"]
     with pytest.raises(
         SolveError, match=r"1e-12 m\^3/s in thin, wide \(5 nodes around \(2, 1\)\), which no pressure drains"

@@ -68,6 +68,25 @@ def test_of_a_fluid_that_is_stored_by_compression_alone():
     proportional(found, tolerances, 2.0)
 
 
+@pytest.mark.parametrize(
+    "rule, tolerances", [("backward-euler", (1e-1,)), ("bdf2", TOLERANCES), ("trapezoid", (1e-2,))]
+)
+def test_a_small_pumping_after_a_large_one(rule, tolerances):
+    """A hundredth more pressure, in a stage of its own: the error is of what that brings. The stage after it is long."""
+    steady, small = 10.0, 0.01
+    well = f"pressure = [[0, 1], [{steady}, 1], [{steady}, {1 + small}]]"
+    stages = [f'{{kind="quasi-static", time_step={each}, steps=1}}' for each in (steady, END, 1e3)]
+    found = []
+    for each in tolerances:
+        given = (f"stage=[{', '.join(stages)}]", f"method.flow_integrator={rule}", f"accuracy.tolerance={each}")
+        times, pressures, open_books = history_of_film(LINEAR, well, *given)
+        late = times > steady
+        wrong = np.abs(pressures - 1.0 - modes(small, np.maximum(times - steady, 0.0)))[late & (times <= steady + END)]
+        found.append(wrong.max() / small)
+        assert open_books < 1e-9 and np.sum(times > steady + END) < 200
+    proportional(found, tolerances, 2.0)
+
+
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 @pytest.mark.parametrize(
     "rate", ["[[0, 0], [0.2, 0], [0.21, 1], [0.22, 0]]", "[[0.2, 0], [0.2, 1], [0.21, 1], [0.21, 0]]"]
@@ -117,6 +136,21 @@ def test_oscillation_without_damping(shared_tmp, stepper, tolerances):
         for each in tolerances
     ]
     proportional(errors, tolerances, 1.5)
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_small_push_after_a_large_one(shared_tmp, tolerance):
+    """The block stands still at 1 as its oscillation by a hundredth begins, which has an error of its own size."""
+    stages = [
+        '{kind="quasi-static", time_step=0.5, steps=2}',
+        '{kind="dynamic", time_step=1.5, end=4}',
+    ]
+    given = ["output.pictures=false", "fracture.default.law=linear", f"accuracy.tolerance={tolerance}"]
+    given += ["load.0.traction=[[[0, 1], [1, 1], [1, 1.01]], 0]", f"stage=[{', '.join(stages)}]"]
+    found = run(load("meshes/report_5_2/scene.toml", given), shared_tmp / "run")
+    late = found.times > 1.0
+    moved = found.probe("block")["displacement"][:, 0] - 1.0
+    assert np.abs(moved - 0.01 * (1.0 - np.cos(found.times - 1.0)))[late].max() <= 1.5 * tolerance * 0.02
 
 
 def spike(time, kinks, changes):

@@ -127,6 +127,25 @@ def test_a_stress_of_pascals_is_told(make, stress, told):
     assert bool(found) is told and all('give "-14 MPa"' in line for line in found)
 
 
+@pytest.mark.parametrize(
+    "key, small, large, unit",
+    [
+        ("fluid.initial_pressure", "5", "5e6", "N/m^2"),
+        ("well.0.maximum_pressure", "7", "7e6", "N/m^2"),
+        ("well.0.flow_rate", "1e-3", "0.5", "m^3/s"),
+    ],
+)
+def test_pressures_of_pascals_and_rates_of_cubic_metres_are_told(make, key, small, large, unit):
+    name = key.replace(".0.", f".{make().well[0].name}.")
+    told = {
+        value: [line for line in advice(make(f"{key}={value}")) if line.startswith(name)] for value in (small, large)
+    }
+    wrong, right = (large, small) if unit == "m^3/s" else (small, large)
+    usual = "L/s" if unit == "m^3/s" else "MPa"
+    assert len(told[wrong]) == 1 and told[right] == []
+    assert told[wrong][0].startswith(f"{name} = {wrong} {unit} is ") and f'give "{wrong} {usual}"' in told[wrong][0]
+
+
 def test_a_rate_of_one_metre_of_fractures_is_told(make):
     """Nothing in the scene says how deep they are out of the plane."""
     told, stated = (

@@ -43,12 +43,9 @@ class CondensedSections(SectionSolver):
 
     def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
         compliance, moduli, right = compliance[0], moduli[0], right[0]
-        changed, dim = np.flatnonzero(moduli.any(axis=(1, 2))), moduli.shape[1]
-        if not len(changed):
+        (there, summed), dim = summed_alike(moduli, self._like), moduli.shape[1]
+        if not len(there):
             return right[None]
-        there, like = np.unique(self._like[changed], return_inverse=True)
-        summed = np.zeros((len(there), dim, dim))
-        np.add.at(summed, like, moduli[changed])
         rows = (there[:, None] * dim + np.arange(dim)).ravel()
         flat = compliance.reshape(len(right), -1)[:, rows]
         own = np.einsum("xmi,mij->xmj", flat[rows].reshape(len(rows), -1, dim), summed).reshape(len(rows), -1)
@@ -69,6 +66,15 @@ def alike(operators: Operators, exchange: Exchange) -> Ints:
     motion.destroy()
     _, index, inverse = np.unique(np.round(strains, 9), axis=0, return_index=True, return_inverse=True)
     return np.asarray(index[inverse.ravel()], np.int64)
+
+
+def summed_alike(moduli: Floats, like: Ints) -> tuple[Ints, Floats]:
+    """Sections c with moduli, those ``like`` (S,) another as one, and the sums (c, dim, dim) of their moduli (S, dim, dim)."""
+    changed = np.flatnonzero(moduli.any(axis=(1, 2)))
+    there, to = np.unique(like[changed], return_inverse=True)
+    summed = np.zeros((len(there), *moduli.shape[1:]))
+    np.add.at(summed, to, moduli[changed])
+    return there, summed
 
 
 def _one_cluster(compliance: Floats, shape: tuple[int, ...], comm: MPI.Comm) -> Clusters:

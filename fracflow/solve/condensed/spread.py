@@ -24,7 +24,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters, Exchange
-from fracflow.solve.condensed.on_one_rank import MOST_CHANGES, CondensedFlow, CondensedSections, alike
+from fracflow.solve.condensed.on_one_rank import MOST_CHANGES, CondensedFlow, CondensedSections, alike, summed_alike
 from fracflow.solve.linear import BROKEN, check_solution
 from fracflow.solve.sections import SectionProblem, SectionRows, SectionSolver
 
@@ -123,10 +123,7 @@ class SpreadSections(SectionSolver):
         Sections that move alike on a rank are one. Collective.
         """
         comm, dim = self.operators.layout.comm, moduli.shape[1]
-        changed = np.flatnonzero(moduli.any(axis=(1, 2)))
-        there, like = np.unique(self._like[changed], return_inverse=True)
-        summed = np.zeros((len(there), dim, dim))
-        np.add.at(summed, like, moduli[changed])
+        there, summed = summed_alike(moduli, self._like)
         starts = _first_of_each(dim * len(there), comm)
         summed = _of_all_ranks(summed.ravel(), comm).reshape(-1, dim, dim)
         first_jumps = _of_all_ranks(self._jumps[comm.rank] + there * dim, comm)

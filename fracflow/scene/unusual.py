@@ -1,0 +1,141 @@
+"""Values that are allowed but far from what is usual: a unit may have been forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from fracflow.scene.profiles import Profile
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
+from fracflow.scene.units import (
+    AREA,
+    COMPRESSIBILITY,
+    DENSITY,
+    FLOW_RATE,
+    LENGTH,
+    STIFFNESS,
+    STRESS,
+    VISCOSITY,
+)
+
+FAR_OFF = 10.0  # extents of a map in degrees that lie between it and (0, 0)
+SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock, a pressure that of one of water
+STREAM = 0.2  # m^3/s: few wells bring more
+DECIMALS = 3  # that coordinates on a plane may have
+
+# key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
+USUAL = {
+    "rock": {"youngs_modulus": (STRESS, 1e8, 1e12), "density": (DENSITY, 500.0, 1e4)},
+    "fracture": {
+        "normal_stiffness": (STIFFNESS, 1e6, 1e16),
+        "shear_stiffness": (STIFFNESS, 1e5, 1e16),
+        "aperture": (LENGTH, 1e-7, 0.1),
+        "hydraulic_aperture": (LENGTH, 1e-8, 0.02),
+        "hydraulic_opening_ratio": ("", 0.01, 2.0),
+        "friction_coefficient": ("", 0.01, 2.0),
+        "direct_effect": ("", 1e-4, 0.1),
+        "evolution_effect": ("", 1e-4, 0.1),
+        "characteristic_slip": (LENGTH, 1e-7, 1.0),
+    },
+    "leak_off": {"permeability": (AREA, 1e-24, 1e-10), "storage": (COMPRESSIBILITY, 1e-13, 1e-7)},
+    "fluid": {
+        "viscosity": (VISCOSITY, 1e-5, 0.5),
+        "density": (DENSITY, 0.1, 3e3),
+        "compressibility": (COMPRESSIBILITY, 1e-11, 1e-4),
+    },
+}
+
+
+def degrees(scene: Scene) -> Iterator[str]:
+    """A line on traces that are longitudes and latitudes: all in their range, far from (0, 0) for their size, of many digits.
+
+    A plane has its origin in a corner or the middle of a sample, or far away, beyond the range of degrees.
+    """
+    traces = scene.geometry.fracture if scene.geometry is not None else ()
+    if not traces:
+        return
+    points = np.concatenate([np.asarray(trace.points, dtype=float) for trace in traces])
+    extent, middle = float(np.ptp(points, axis=0).max()), points.mean(axis=0)
+    is_fine = np.abs(points - np.round(points, DECIMALS)) > 1e-9
+    if np.all(np.abs(points) <= (180.0, 90.0)) and FAR_OFF * extent < np.linalg.norm(middle) and is_fine.mean() > 0.5:
+        unit = scene.unit_system.behind(LENGTH)
+        yield (
+            f"geometry: all traces lie within {extent:.3g}{unit} around ({middle[0]:.6g}, {middle[1]:.6g}), as longitudes and"
+            f" latitudes would; degrees are taken as{unit or ' lengths'}: project the map to a plane first, such as UTM"
+        )
+
+
+def slight(scene: Scene) -> Iterator[str]:
+    """An initial stress that is next to nothing beside rock and joints: MPa may have been written as Pa."""
+    stress = scene.initial_stress
+    if not _is_of_rock(scene) or stress is None or any(stress.gradient.model_dump().values()):
+        return
+    given = {axis: getattr(stress, axis) for axis in ("xx", "yy", "zz", "xy")}
+    axis = max(given, key=lambda each: abs(given[each]))
+    if 0.0 < abs(given[axis]) * scene.unit_system.to_si(STRESS) < SLIGHT:
+        yield _mistaken(
+            scene, f"initial_stress.{axis}", given[axis], STRESS, "the largest of it, next to nothing in rock", "MPa"
+        )
+
+
+def _is_of_rock(scene: Scene) -> bool:
+    """Whether its units are known, and one of its rocks is as stiff as rock."""
+    if scene.units == "none":
+        return False
+    stiff = max((rock.youngs_modulus or 0.0 for rock in scene.rock.values()), default=0.0)
+    return stiff * scene.unit_system.to_si(STRESS) >= USUAL["rock"]["youngs_modulus"][1]
+
+
+def _mistaken(scene: Scene, key: str, value: float, dimension: str, is_so: str, usual: str) -> str:
+    unit = scene.unit_system.written(dimension)
+    return (
+        f"{key} = {value:g} {unit} is {is_so}: is its unit right? Numbers are in {unit}; give"
+        f' "{value:g} {usual}" if that is meant'
+    )
+
+
+def _of_wells(scene: Scene) -> Iterator[str]:
+    """Pressures that are next to nothing in rock, and flow rates of a stream: units may have been forgotten."""
+    fluid = scene.fluid if _is_of_rock(scene) else None
+    if fluid is None:
+        return
+    pressures = {} if fluid.pressure_gradient else {"fluid.initial_pressure": [fluid.initial_pressure]}
+    for well in scene.well:
+        limits = {"maximum_pressure": well.maximum_pressure, "minimum_pressure": well.minimum_pressure}
+        pressures |= {f"well.{well.name}.{key}": [limit] for key, limit in limits.items() if limit is not None}
+        if isinstance(well.pressure, TimeTable):
+            pressures[f"well.{well.name}.pressure"] = [*well.pressure.values]
+        if well.flow_rate is not None:
+            rate = max(well.flow_rate.values, key=abs)
+            if abs(rate) * scene.unit_system.to_si(FLOW_RATE) > STREAM:
+                yield _mistaken(scene, f"well.{well.name}.flow_rate", rate, FLOW_RATE, "more than wells bring", "L/s")
+    for key, values in pressures.items():
+        most = max(values, key=abs)
+        if 0.0 < abs(most) * scene.unit_system.to_si(STRESS) < SLIGHT:
+            yield _mistaken(scene, key, most, STRESS, "next to nothing in rock", "MPa")
+
+
+def unusual(scene: Scene) -> Iterator[str]:
+    """A line for each value far from what is usual, where the units are known."""
+    if scene.units == "none":
+        return
+    yield from slight(scene)
+    yield from _of_wells(scene)
+    tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
+    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
+    leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]
+    tables += [(f"fracture.{name}.leak_off", rock, "leak_off") for name, rock in leaky]
+    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []
+    for path, table, kind in tables:
+        for key, (dimension, least, most) in USUAL[kind].items():
+            value = getattr(table, key)
+            if value is None or isinstance(value, Profile) or value == 0.0:
+                continue
+            in_si = value * scene.unit_system.to_si(dimension)
+            if not least <= in_si <= most:
+                stated = f"{value:g} {scene.unit_system.written(dimension)}".rstrip()
+                few = "small" if in_si < least else "large"
+                yield f"{path}.{key} = {stated} is unusually {few}: is its unit right?"
