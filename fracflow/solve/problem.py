@@ -330,10 +330,10 @@ class StepProblem:
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [of_jumps, of_strains, largest(self.displacement)]
+        here += [of_jumps, of_strains, largest(self.displacement), largest(self.increment)]
         here += [float(np.max(self._flow_noise, initial=0.0)), self._carried]
-        solid, solid_terms, flow, flow_terms, of_jumps, of_strains, moved, hidden, carried = over_ranks(here, comm)
-        noise = of_strains + round_off_of_rock(self.operators, moved)
+        solid, solid_terms, flow, flow_terms, of_jumps, of_strains, moved, by, hidden, carried = over_ranks(here, comm)
+        noise = of_strains + round_off_of_rock(self.operators, max(moved, by))
         size = max(solid_terms, LEAST_FORCE * scales.force)
         self._is_blurred = of_jumps > BLURRED * size
         solid, noise = max(solid - noise, 0.0) / size, noise / size

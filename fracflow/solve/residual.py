@@ -107,7 +107,7 @@ def round_off_of_uptake(network: Flow, before: Compression | None, conduction: C
 
 
 def round_off_of_rock(operators: Operators, displacement: float) -> float:
-    """The same of the rock [force per thickness], from the largest displacement."""
+    """The same of the rock [force per thickness], from the largest displacement: at the end of a step, or by it."""
     return NOISE * UNIT_ROUND_OFF * operators.scales.stiffness * displacement
 
 
