@@ -83,5 +83,7 @@ def test_a_nearly_closed_joint_keeps_the_digits_of_its_gap(shared_tmp):
     for name in ("left", "middle"):
         assert history[f"probe/{name}/normal_traction"][-1] == pytest.approx(-1e9, rel=1e-9)
     assert history["step/digits"][-1] > 9.0
-    rounded = 4 * EPS * 1e11 * 3.0**2  # work of what rounds off in the rock's forces E u, over u; net works are 1e-3 of theirs
+    rounded = (
+        4 * EPS * 1e11 * 3.0**2
+    )  # work of what rounds off in the rock's forces E u, over u; net works are 1e-3 of theirs
     assert np.abs(history["energy/residual"]).max() <= rounded
