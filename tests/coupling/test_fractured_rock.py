@@ -17,6 +17,7 @@ from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
+from fracflow.solve.fractured_rock.preconditioner import _are_pressures, _shift
 from fracflow.solve.fractured_rock.small_system import SmallSystem
 from fracflow.solve.fractured_rock.subspaces import grown, walls
 
@@ -172,6 +173,41 @@ def test_a_small_system_is_solved_on_one_rank_or_on_all(by, comm):
     destroy(system, matrix, right, found)
     for name in given:
         options.delValue(name)
+
+
+@pytest.mark.serial
+def test_pressures_along_a_cut_parallel_to_the_grid_leave_pivots():
+    """Hats on both sides of a grid line have the same trace on the cut, but for a factor, and its fluid hardly flows."""
+    wet = {"law": "linear", "normal_stiffness": 1e10, "shear_stiffness": 1e10, "aperture": 1e-6}
+    scene = through(0.0, fracture={"cut": wet}, fluid={"viscosity": 1e-3})
+    operators, none = prepare(scene, MPI.COMM_SELF).operators, np.zeros(0, dtype=int)
+    nodes, layout = nodes_of(operators.blocks), operators.layout
+    jumps = coarse_jumps(operators.blocks, layout, nodes, walls(operators.blocks, nodes) >= 0.0, [0.3], none)
+    are_pressures = _are_pressures(jumps, layout.solid_count)
+    dense = jumps[:, :]
+    traces = dense[:, are_pressures] / np.linalg.norm(dense[:, are_pressures], axis=0)
+    assert np.linalg.matrix_rank(traces) < are_pressures.sum()  # they do depend on each other
+    rigid, thin = np.eye(layout.solid_count), 1e-12 * np.eye(layout.flow_count)
+    couple = np.random.default_rng(0).standard_normal((layout.solid_count, layout.flow_count))
+    fine = np.block([[rigid, couple], [-couple.T, thin]])
+    count = jumps.getSize()[1]
+    system = PETSc.Mat().createAIJ((count, count), nnz=count, comm=MPI.COMM_SELF)
+    system[:, :] = dense.T @ fine @ dense
+    system.assemble()
+
+    def least_pivot():
+        found = system[:, :]
+        rock, flow = ~are_pressures, are_pressures
+        left = found[np.ix_(flow, rock)] @ np.linalg.solve(found[np.ix_(rock, rock)], found[np.ix_(rock, flow)])
+        pivots = found[np.ix_(flow, flow)] - left
+        scale = np.sqrt(np.diag(pivots))
+        return np.linalg.svd(pivots / np.outer(scale, scale), compute_uv=False).min()
+
+    assert least_pivot() < 1e-13
+    _shift(system, are_pressures)
+    assert 1e-10 < least_pivot() < 1e-5
+    destroy(system, jumps)
+    nodes.destroy()
 
 
 def test_factors_that_break_on_one_rank_break_on_all(operators, monkeypatch):

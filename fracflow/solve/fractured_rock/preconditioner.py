@@ -20,7 +20,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import Unsolved
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, rows_of
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
@@ -29,7 +29,9 @@ from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
 COARSE = 14.0**2  # nodes of the mesh in a cell of the coarse grid, in the plane and in space
-SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
+SHIFT = 1e-8
+"""Of the pivots of coarse jumps. Displacements may depend on each other in small blocks of rock, and pressures along a fracture
+that is parallel to the grid."""
 
 
 class Filled(Protocol):
@@ -59,10 +61,13 @@ class Parts:
     intact  E: from displacements that walls share
     jumps   W: from displacements and pressures of long wavelength
     strips  unknowns near fractures
+
+    are_pressures  those of long wavelength that this rank has (n,)
     """
 
     intact: PETSc.Mat
     jumps: PETSc.Mat
+    are_pressures: Bools
     strips: PETSc.IS
 
 
@@ -72,9 +77,11 @@ def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts
     nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
     wall = walls(blocks, nodes)
     is_wall, along = wall >= 0.0, COARSE ** (1.0 / blocks.sizes.dim)
+    jumps = coarse_jumps(blocks, layout, nodes, is_wall, grid_sizes(blocks, is_wall, length, along), held)
     parts = Parts(
         intact(blocks, layout, wall),
-        coarse_jumps(blocks, layout, nodes, is_wall, grid_sizes(blocks, is_wall, length, along), held),
+        jumps,
+        _are_pressures(jumps, layout.solid_count),
         strips(blocks, layout, grown(blocks, nodes, is_wall, LAYERS)),
     )
     nodes.destroy()
@@ -175,7 +182,7 @@ class FracturedRock:
         self.without.copy(systems["jumps"])  # which has entries of empty rows beside
         systems["jumps"].axpy(1.0, self.change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         _fill_empty(systems["jumps"], _largest_in_rows(systems["jumps"]))
-        _shift(systems["jumps"])
+        _shift(systems["jumps"], self.parts.are_pressures)
 
     @timed("FracRockApply")
     def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
@@ -208,12 +215,34 @@ class FracturedRock:
         )
 
 
-def _shift(system: PETSc.Mat) -> None:
-    """Make the diagonal a little larger. Collective."""
+def _are_pressures(jumps: PETSc.Mat, middle: int) -> Bools:
+    """Which of this rank's coarse unknowns are pressures (n,). Collective."""
+    is_flow, moved = jumps.createVecLeft(), jumps.createVecRight()
+    is_flow.getArray()[middle:] = 1.0
+    jumps.multTranspose(is_flow, moved)
+    result: Bools = moved.getArray(readonly=True) > 0.0
+    destroy(is_flow, moved)
+    return result
+
+
+def _shift(system: PETSc.Mat, are_pressures: Bools) -> None:
+    """Make each pivot a little larger than those before leave it. Collective.
+
+    A pressure has little on the diagonal where the fluid hardly flows. Its pivot is the compliance of the rock that it opens,
+    |a_pu a_up / a_uu| summed over displacements u: round-off of that exceeds any share of a_pp.
+    """
     diagonal = system.getDiagonal()
-    diagonal.scale(1.0 + SHIFT)
+    pivots, compliance = np.abs(diagonal.getArray()), diagonal.duplicate()
+    starts, columns, values = system.getValuesCSR()
+    rows = np.repeat(np.arange(len(pivots)), np.diff(starts))
+    of_rock = ~are_pressures[rows] & (pivots[rows] > 0.0)
+    compliance.set(0.0)
+    compliance.setValues(columns[of_rock], np.abs(values[of_rock]) / pivots[rows[of_rock]], PETSc.InsertMode.ADD)
+    compliance.assemble()
+    pivots += np.where(are_pressures, _largest_in_rows(system) * compliance.getArray(readonly=True), 0.0)
+    diagonal.getArray()[:] += np.copysign(SHIFT * pivots, diagonal.getArray(readonly=True))
     system.setDiagonal(diagonal)
-    diagonal.destroy()
+    destroy(diagonal, compliance)
 
 
 def _largest_in_rows(system: PETSc.Mat) -> Floats:
