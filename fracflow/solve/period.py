@@ -6,6 +6,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.laws.base import HELD
+from fracflow.mesh.data import Floats
 from fracflow.model.layout import matrix_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -13,13 +14,13 @@ from fracflow.model.state import Sections
 from fracflow.solve.initial_rates import with_diagonal
 from fracflow.solve.options import solver_of
 
-MOST_ITERATIONS = 200
-CONVERGED = 1e-12  # relative change of the eigenvalue between two iterations
+MOST_SHAPES, MOST_STARTS = 20, 10  # of a basis, and of bases
+CONVERGED = 1e-7  # residual of the shape over its eigenvalue, whose own error is the square of that
 SOFT = 1e-10  # of the first Rayleigh quotient: stiffness of a block that nothing else holds
 
 
 def longest_period(operators: Operators, loads: Loads, sections: Sections) -> float:
-    """2 pi over the lowest frequency [1/time] of K_s + G' W D G and M, D of joints that stick: inverse iteration.
+    """2 pi over the lowest frequency [1/time] of K_s + G' W D G and M, D of joints that stick.
 
     Absorbing sides stay where they are; a fluid, which is left out, makes periods shorter. Infinite where nothing moves.
     Collective.
@@ -70,16 +71,47 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
 
 
 def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Vec) -> float:
-    """Lowest eigenvalue of K x = w M x, from a first force; both vectors are used up. Collective."""
-    solver, last = solver_of(stiff, "period_"), 0.0
-    for _ in range(MOST_ITERATIONS):
+    """Lowest eigenvalue of K x = w M x, from a first force, by Lanczos; both vectors are used up. Collective.
+
+    T is K^-1 M on an M-orthonormal basis (Parlett 1998, 15.11). A basis that is full begins anew with the shape it found.
+    """
+    solver, largest, weights = solver_of(stiff, "period_"), 0.0, np.zeros(0)
+    for _ in range(MOST_STARTS):
         solver.solve(force, shape)
-        work = shape.dot(force)
-        mass.mult(shape, force)
-        weight = shape.dot(force)
-        before, last = last, work / weight if weight > 0.0 else 0.0
-        if not last or abs(last - before) <= CONVERGED * last:
+        basis: list[PETSc.Vec] = []
+        moved: list[PETSc.Vec] = []
+        diagonal, beside = np.zeros(MOST_SHAPES), np.zeros(MOST_SHAPES)
+        while len(basis) < MOST_SHAPES:
+            for _ in range(2 if basis else 0):  # round-off of the first pass is left to the second
+                shape.maxpy([-shape.dot(each) for each in moved], basis)
+            mass.mult(shape, force)
+            size = np.sqrt(max(shape.dot(force), 0.0))
+            if basis:
+                beside[len(basis) - 1] = size
+                values, shapes = _of_tridiagonal(diagonal, beside, len(basis))
+                largest, weights = values[-1], shapes[:, -1]
+                if size * abs(weights[-1]) <= CONVERGED * largest:
+                    break
+            elif size == 0.0:
+                break
+            basis.append(shape.copy())
+            moved.append(force.copy())
+            basis[-1].scale(1.0 / size)
+            moved[-1].scale(1.0 / size)
+            solver.solve(moved[-1], shape)
+            diagonal[len(basis) - 1] = shape.dot(moved[-1])
+        is_found = len(basis) < MOST_SHAPES
+        if not is_found:
+            force.set(0.0)
+            force.maxpy(weights, moved[:-1])
+        destroy(*basis, *moved)
+        if is_found:
             break
-        force.scale(1.0 / np.sqrt(weight))
     solver.destroy()
-    return float(last)
+    return float(1.0 / largest) if largest > 0.0 else 0.0
+
+
+def _of_tridiagonal(diagonal: Floats, beside: Floats, count: int) -> tuple[Floats, Floats]:
+    """Eigenvalues, ascending, and eigenvectors of the first ``count`` rows."""
+    values, shapes = np.linalg.eigh(np.diag(diagonal[:count]) + np.diag(beside[: count - 1], -1))
+    return values, shapes

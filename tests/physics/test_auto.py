@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import equilibrium_state
@@ -217,6 +218,28 @@ def test_the_longest_period_is_that_of_two_masses_on_three_springs(comm):
     assert found == pytest.approx(
         2.0 * np.pi / np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).min()), rel=1e-3
     )
+
+
+def test_the_longest_period_of_a_square_with_modes_alike(shared_tmp, comm):
+    """Held at all sides, nearly square: its two lowest frequencies lie close together. SciPy has them all."""
+    square = (
+        "rock.rock = {youngs_modulus = 1e9, poissons_ratio = 0.25, density = 2500}\n"
+        'support = [{on = ["south", "north", "west", "east"]}]\n'
+        "geometry = {domain = [0, 0, 1, 1.03], size = 0.125}\n"
+        'stage = [{kind = "dynamic", time_step = 1, steps = 1}]\n'
+    )
+    if comm.rank == 0:
+        (shared_tmp / "square.toml").write_text(square, encoding="utf-8")
+    comm.barrier()
+    model = prepare(load(shared_tmp / "square.toml"), MPI.COMM_SELF)
+    operators, state = model.operators, equilibrium_state(model)
+    found = longest_period(operators, model.loads, state.sections)
+    state.destroy()
+    free = np.setdiff1d(np.arange(operators.stiffness.getSize()[0]), model.loads.standing().held)
+    stiffness, mass = (matrix[:, :][np.ix_(free, free)] for matrix in (operators.stiffness, operators.mass))
+    lowest = eigh(stiffness, mass, eigvals_only=True)[:2]
+    assert lowest[1] < 1.1 * lowest[0]  # close together, where inverse iteration is slow
+    assert found == pytest.approx(2.0 * np.pi / np.sqrt(lowest[0]), rel=1e-10)
 
 
 SLOW = """
