@@ -120,7 +120,7 @@ def main() -> int:
     )
     with tempfile.TemporaryDirectory() as folder:
         for joints in given.joints:
-            runs = [("multipoles", 1), *(("multipoles", ranks) for ranks in given.ranks)]
+            runs = [("multipoles", ranks) for ranks in dict.fromkeys((1, *given.ranks))]
             first, runs = None, runs + ([("direct", 1)] if joints <= given.dense else [])
             for way, ranks in runs:
                 found = measured(joints, given.steps, way, ranks, Path(folder))
