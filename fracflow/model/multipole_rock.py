@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 SERIES_ERROR = 1e-10  # of a block of K_s: what its series leaves out
+TANGENT_ERROR = 1e-5  # the same in a Jacobian: with 1e-4 to 1e-8 Newton's method takes as many iterations
 FAULTY = 1e-8  # of a product: an error that series cannot have but by a fault
 SAMPLES = 4  # walls at which the error of a product is measured
 MOST_DENSE = 5000  # joints whose entries are all stored: 1e8 of them
@@ -50,9 +51,14 @@ class _Walls:
 class FarRock:
     """The share of far walls in K_s; ``error`` is that of a product, as it was measured at some walls [1]."""
 
-    def __init__(self, comm: MPI.Comm, jumps: FarJumps, places: Ints, factor: float) -> None:
-        """``places`` (h,) are those of the first unknowns of this rank's walls; ``factor`` is -E'/(4 pi) [stress]."""
-        self._comm, self._jumps, self._places, self.factor, self.error = comm, jumps, places, factor, np.inf
+    def __init__(self, comm: MPI.Comm, jumps: FarJumps, rough: FarJumps, places: Ints, factor: float) -> None:
+        """Take the series of balances and the shorter ones of Jacobians.
+
+        places  (h,) of the first unknowns of this rank's walls
+        factor  -E'/(4 pi) [stress]
+        """
+        self._comm, self._jumps, self._rough, self._places = comm, jumps, rough, places
+        self.factor, self.error = factor, np.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -63,9 +69,17 @@ class FarRock:
     @timed("FracFarRock")
     def force(self, moved: Floats) -> Floats:
         """Forces (n,) on this rank's unknowns, of displacements (n,) [force per thickness]. Collective."""
-        moments = self._jumps.leaf_moments(moved[self._places] + 1j * moved[self._places + 1])
+        return self._product(self._jumps, moved)
+
+    @timed("FracFarTangent")
+    def tangent_force(self, moved: Floats) -> Floats:
+        """The same to ``TANGENT_ERROR``, for solvers of Newton's method. Collective."""
+        return self._product(self._rough, moved)
+
+    def _product(self, jumps: FarJumps, moved: Floats) -> Floats:
+        moments = jumps.leaf_moments(moved[self._places] + 1j * moved[self._places + 1])
         self._comm.Allreduce(MPI.IN_PLACE, moments)
-        found, result = self.factor * self._jumps.forces(moments), np.zeros(len(moved))
+        found, result = self.factor * jumps.forces(moments), np.zeros(len(moved))
         result[self._places], result[self._places + 1] = found.real, found.imag
         return result
 
@@ -95,7 +109,9 @@ def stiffness(blocks: Blocks, scene: Scene) -> tuple[PETSc.Mat, FarRock]:
     factor, size = of_energy(scene), (last - first, total)
     entries = _interleaved(_near(walls, own), rows, walls.unknown, size)
     near = matrix_of((size, size), (entries.indptr, entries.indices, factor * entries.data), comm)
-    far = FarRock(comm, FarJumps(walls.cells, walls.pairs, _some(walls.hats, own), SERIES_ERROR), rows, factor)
+    here = _some(walls.hats, own)
+    sharp, rough = (FarJumps(walls.cells, walls.pairs, here, error) for error in (SERIES_ERROR, TANGENT_ERROR))
+    far = FarRock(comm, sharp, rough, rows, factor)
     far.error = _error(walls, own, rows, near, far)
     return near, far
 

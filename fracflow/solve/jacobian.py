@@ -414,7 +414,7 @@ class _WithFar:
         self.filled.matrix.mult(given, result)
         if self.filled.stood[2] != "flow":
             layout, scales = self.filled.layout, self.filled.operators.scales
-            force = self.far.force(given.getArray(readonly=True)[: layout.solid_count])
+            force = self.far.tangent_force(given.getArray(readonly=True)[: layout.solid_count])
             result.getArray()[: layout.solid_count] += scales.displacement / scales.force * force
 
 
