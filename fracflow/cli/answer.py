@@ -109,7 +109,7 @@ def report_checks(numbers: Records, console: Console, title: str = "Pre-run chec
         table.add_column(head, overflow="fold", no_wrap=head in ("", "value"))
     for number in numbers:
         value = number["value_text"] or "-"
-        limit = number["limit_text"] or (f"({number['note']})" if number["note"] else "-")
+        limit = _bound(number) or (f"({number['note']})" if number["note"] else "-")
         mark = "!" if number["out_of_range"] else ""
         cells = (mark, f"{number['name']} {number['formula'].partition(' = ')[0]}", value, limit, number["where"])
         table.add_row(*map(escape, cells), style="bold" if mark else "")
@@ -117,6 +117,14 @@ def report_checks(numbers: Records, console: Console, title: str = "Pre-run chec
     for number in numbers:
         if remedies and number["out_of_range"]:
             console.print(f"{ACT}{number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
+
+
+def _bound(number: Mapping[str, Any]) -> str:
+    """The limit of a number, with the side on which values are in range; empty without one."""
+    value, limit = number["value"], number["limit"]
+    if value is None or limit is None:
+        return str(number["limit_text"] or "")
+    return f"{'<' if (value > limit) == number['out_of_range'] else '>'} {number['limit_text']}"
 
 
 def report_plan(decisions: Records, console: Console) -> None:

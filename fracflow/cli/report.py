@@ -133,6 +133,8 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     others = [key.removeprefix("energy/") for key in history if key.startswith("energy/")]
     for name in [*(name for name in others if name not in BOOKS), *books]:  # first those of terms
         values = history[f"energy/{name}"]
+        if not values.any() and not name.startswith("residual"):
+            continue  # of parts that the scene has not
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
     _report_wells(history, units, console)
@@ -149,6 +151,10 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     _report_fractures(folder, console, units)
     events = read_events(folder / "events.csv")
     if not events:
+        found = fracture_table(folder)
+        if found is not None and np.nan_to_num(found.columns["largest_slip"]).any():
+            console.print("slip crept: no event, and no section opened", soft_wrap=True, markup=False)
+            return
         near = "" if failed else _nearest(folder)
         console.print(f"no section reached its strength or opened{near}", soft_wrap=True, markup=False)
         return

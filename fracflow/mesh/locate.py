@@ -105,7 +105,7 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None,
     joints, ends = np.nonzero((raw == node) & chosen[:, None])
     longest = max(_length(mesh, joint) for joint in joints.tolist())
     if distance.min() > longest:
-        _refuse_far(what, point, f"{distance.min():.3g}{unit}")
+        _refuse_far(what, point, f"{distance.min():.3g}{unit}", fracture)
     nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
     return FracturePlace(int(mesh.joint_flow[joints[0], ends[0]]), mesh.points[node], nodes, joints, ends)
 
@@ -125,8 +125,11 @@ def _length(mesh: SplitMesh, joint: int) -> float:
     return float(np.linalg.norm(np.subtract(*mesh.points[mesh.joint_bottom[joint, :2]])))
 
 
-def _refuse_far(what: str, point: Floats, distance: str) -> NoReturn:
-    raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance} away; move it onto one")
+def _refuse_far(what: str, point: Floats, distance: str, fracture: str | None) -> NoReturn:
+    found = "the nearest fracture" if fracture is None else f'fracture "{fracture}"'
+    raise InputError(
+        f"{what}: at = {point.tolist()}: {found} is {distance} away; move it onto {'one' if fracture is None else 'that'}"
+    )
 
 
 def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None, unit: str = "") -> FracturePlace:
@@ -139,7 +142,7 @@ def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = No
     nearest = int(np.argmin(distance))
     joint, shares = int(chosen[nearest]), np.array([1.0 - along[nearest], along[nearest]])
     if distance[nearest] > _length(mesh, joint):
-        _refuse_far(what, point, f"{distance[nearest]:.3g}{unit}")
+        _refuse_far(what, point, f"{distance[nearest]:.3g}{unit}", fracture)
     foot = shares @ mesh.points[mesh.joint_bottom[joint]]
     end = int(np.argmax(shares))
     corner = mesh.points[mesh.joint_bottom[joint, end]]

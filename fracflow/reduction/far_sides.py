@@ -24,12 +24,16 @@ from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_
 from fracflow.remarks import note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import LENGTH
 from fracflow.solve.rock_cost import direct, unmeshed
 
 PART = "sides and mesh of the rock"
 CRITERION = "stress of all fractures on the sides, over the change of stress along them"
 SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fracture, in the mean of all directions
 ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: a margin
+ANSWERED = 0.4  # of slip, over (a/r)^2: 0.3 to 0.5 at held sides
+ALARMING = 0.1  # change of slip from which on a line says so
+ENDS = 1e-3  # of its half length: a fracture that comes so near to a side ends there
 PLACES = 16  # along a side, and from bend to bend of a trace, where stresses and distances are looked at
 PER_FRACTURE = 16  # joints, where the scene states no size
 TIPPED = 12.0  # joints that finer tips add to a fracture
@@ -103,14 +107,42 @@ def _obstacles(scene: Scene) -> Iterator[str]:
 
 def estimated(scene: Scene) -> float:
     """Error of leaving out the sides, by the lengths of fractures and their distances from the sides [1]."""
+    return ANSWER * SHED * sum((half / max(away, ENDS * half)) ** 2 for half, away, _ in _half_and_distance(scene))
+
+
+def near_sides(scene: Scene) -> list[str]:
+    """A line on the fracture within a domain that sides change most, if any: rock that goes on would let it slip farther."""
+    if scene.geometry is None or scene.is_unbounded:
+        return []
+    changed = [
+        (ANSWERED * (half / away) ** 2, half, away, name)
+        for half, away, name in _half_and_distance(scene)
+        if away > ENDS * half
+    ]
+    near = sorted((each for each in changed if each[0] > ALARMING), reverse=True)
+    if not near:
+        return []
+    change, half, away, name = near[0]
+    unit, enough = scene.unit_system.behind(LENGTH), (ANSWERED / ALARMING) ** 0.5 * half
+    others = f" (so near for their lengths: {len(near) - 1} more)" if len(near) > 1 else ""
+    return [
+        f"sides: {name}, {2 * half:.3g}{unit} long, comes within {away:.3g}{unit} of a side{others}: if the rock goes on there"
+        f" in fact, slip and opening may be off by up to {100 * change / (1 + change):.2g} %; sides {enough:.2g}{unit} away"
+        f' leave a tenth, and geometry.domain = "unbounded" has none'
+    ]
+
+
+def _half_and_distance(scene: Scene) -> Iterator[tuple[float, float, str]]:
+    """Half the extent of each fracture, how far the nearest side is [length], and its name."""
     assert scene.geometry is not None
-    total = 0.0
     for trace in scene.geometry.fracture:
         points = _places(trace.points)
         half = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-        away = min(float(np.linalg.norm(points - near, axis=1).min()) for near in _nearest(scene, points))
-        total += (half / max(away, 1e-3 * half)) ** 2
-    return ANSWER * SHED * total
+        yield (
+            half,
+            min(float(np.linalg.norm(points - near, axis=1).min()) for near in _nearest(scene, points)),
+            trace.name,
+        )
 
 
 def _along_sides(scene: Scene) -> Floats:

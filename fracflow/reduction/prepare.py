@@ -12,7 +12,7 @@ from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
-from fracflow.reduction.far_sides import assessed, is_left_out, without_sides
+from fracflow.reduction.far_sides import assessed, is_left_out, near_sides, without_sides
 from fracflow.reduction.mesh_size import proposed
 from fracflow.reduction.unresolved import unresolved
 from fracflow.scene.scene import Scene
@@ -75,9 +75,10 @@ def prepare(
 
 
 def _with_note(model: Model) -> Model:
-    """The model with a line on the mesh that its events would have."""
+    """The model with a line on sides that are near, or on the mesh that its events would have."""
     if not model.scene.is_unbounded:
-        return model
+        notes = (*model.placed.notes, *near_sides(model.scene))
+        return replace(model, placed=replace(model.placed, notes=notes))
     from fracflow.reduction.event_mesh import before_events  # few runs need it
 
     notes = (*model.placed.notes, *before_events(model.scene, model.bounded))

@@ -73,6 +73,8 @@ def _is_deeper(value: Any, most: int) -> bool:
 
 def _at_key(text: str, error: str) -> str:
     """The key at which TOML ends, as it stands there, where its value is a list or a number, and how these are written."""
+    if "immutable namespace" in error:
+        return ": a table in braces is whole where it ends; write its keys within the braces, or all of them below a [header]"
     line = re.search(r"at line (\d+)", error)
     before = text.splitlines()[: int(line[1])] if line else text.splitlines()
     begun = [words for words in before if re.match(r"\s*[\w.\"'-]+\s*=", words)]

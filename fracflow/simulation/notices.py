@@ -55,6 +55,9 @@ class Notices:
         self._spurious(state.time, spurious_share(state.energy))
         self._pressure(state.time, state.max_overpressure)
         self._widening(state.time, report)
+        if self._scene.has_flow and not totals.open_tips and (line := open_tip_line(self._model, state)):
+            totals.open_tips = 1
+            self._doubt(line)
         if self._scene.has_flow and not totals.sucked and (line := suction_line(self._model, state)):
             totals.sucked = 1  # once: no fluid holds together below zero
             self._doubt(line)
@@ -237,4 +240,30 @@ def suction_line(model: Model, state: State) -> str:
         f"{time}: the pressure in {name} at {at}{lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
         " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
+    )
+
+
+def open_tip_line(model: Model, state: State) -> str:
+    """A line on a fracture that fluid has lifted open up to its end, where rock would crack; empty where none is.
+
+    Walls meet in one node at an end within rock. What had no compression at the start was meant to be open. Collective.
+    """
+    scene, blocks, joints = model.scene, model.operators.blocks, model.operators.joints
+    block = blocks.joints
+    ends = block.bottom == block.top
+    was_closed = joints.initial[:, -1] < 0.0
+    lifted = (state.sections.is_open & was_closed).reshape(len(block.ids), -1).any(axis=1) & ends.any(axis=1)
+    here = ("", 0.0, 0.0)
+    if len(found := np.flatnonzero(lifted)):
+        joint = int(found[0])
+        x, y = blocks.solid.points[block.bottom[joint][ends[joint]][0]][:2]
+        here = (block.fractures[block.fracture[joint]], float(x), float(y))
+    name, x, y = max(blocks.comm.allgather(here))
+    if not name:
+        return ""
+    at, unit = place_text((x, y), extent_of(blocks.solid.points)), scene.unit_system.behind(LENGTH)
+    return (
+        f"time {scene.time_text(state.time)}: {name} is open up to its end at {at}{unit}, since the pressure exceeds the"
+        " compression across it: rock would crack there, and fractures do not grow here: later openings and pressures are those"
+        " of a fracture that cannot; give the well a maximum_pressure, or draw the trace longer"
     )

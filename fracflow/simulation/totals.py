@@ -51,6 +51,7 @@ class Totals:
     fast_slip: int = 0
     far_slip: float = 0.0
     sucked: int = 0
+    open_tips: int = 0
     widening: float = 1.0
     missed: float = 0.0
     turning: int = 0

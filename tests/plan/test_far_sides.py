@@ -229,6 +229,16 @@ def test_one_obstacle_is_named(dear_meshes):
     assert far_sides.one_obstacle(scene_of(60.0, output={"fields_every": 1})) == []
 
 
+def test_sides_that_are_near_are_told():
+    """Half lengths are 19.2 and 20.5; a trace that ends at a side, and rock without sides, have no line."""
+    (line,) = far_sides.near_sides(scene_of(30.0))
+    assert "sides: a, 38.5 m long, comes within 10 m of a side (so near for their lengths: 1 more)" in line
+    assert "off by up to 6" in line and 'geometry.domain = "unbounded"' in line
+    assert far_sides.near_sides(scene_of(80.0)) == []
+    through = {"domain": [-20, -20, 20, 20], "size": 4, "fracture": [{"name": "a", "points": [[-20, 0], [20, 1]]}]}
+    assert far_sides.near_sides(scene_of(geometry=through, probe=[], well=[])) == []
+
+
 def test_estimate_falls_with_the_square_of_the_distance():
     near, far = (far_sides.estimated(scene_of(wide)) for wide in (2e3, 4e3))
     assert near / far == pytest.approx(4.0, rel=0.02)

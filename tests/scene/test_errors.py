@@ -166,6 +166,8 @@ def test_geometry_names(make):
 
 
 def test_syntax_missing_file_and_encoding(make, tmp_path):
+    with pytest.raises(InputError, match=r"line 2.*: a table in braces is whole where it ends; write its keys within"):
+        make(text="geometry = {size = 1}\n[[geometry.fracture]]\n")
     with pytest.raises(InputError, match=r"^scene.toml: not valid TOML: .*line 2"):
         make(text="title = 1\nunits 2\n")
     for value, how in {

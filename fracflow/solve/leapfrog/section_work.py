@@ -1,4 +1,4 @@
-"""(2.27) What a step leaves at the sections: their work, round-off and largest traction, in one compiled loop in the plane."""
+"""(2.27) Sections at the end of a step: their work, round-off and largest traction, in one compiled loop in the plane."""
 
 from __future__ import annotations
 
