@@ -1,4 +1,4 @@
-"""A fracture that fluid lifts open up to its end would grow in rock: one line says so, none where it was open from the start."""
+"""A fracture that fluid lifts open up to its end would grow in rock: a line says so, none where it was open at the start."""
 
 import pytest
 
