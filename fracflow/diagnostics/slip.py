@@ -22,6 +22,7 @@ UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
 PATCH = 5.0  # joints in L_c
 STATE = 3.0  # joints in L_b
 NUCLEUS = 10.0  # joints in h*
+JUST_SLIPPED = 1e-6  # V theta/D_c at the start, of a fault that has not rested
 STEADY = 1e-3  # of |ln(V theta/D_c)|: slip that is steady, to the digits that a check shows
 FASTEST_GROWTH = 0.096
 """Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
@@ -233,6 +234,7 @@ def state_at_start(view: CheckInput) -> Number:
     end = int(np.nanargmax(np.abs(np.log(joints.steady[joint]))))
     value, theta = float(joints.steady[joint, end]), float(joints.state[joint, end])
     does = "steady" if away < STEADY else "speeds up" if value > 1.0 else "slows down"
+    does += ", as just after far faster slip" if value < JUST_SLIPPED else ""
     return Number(name, formula, value, None, False, where, note=f"theta {view.scene.time_text(theta, 3)}; {does}")
 
 

@@ -92,8 +92,8 @@ def key_numbers(run: RunReport, frames: Frames | None) -> list[tuple[str, str]]:
     if frames is not None:
         found.append(("fractures", str(len(frames.names))))
         for name, word, dimension in (
-            ("pressure", "highest pressure", STRESS),
-            ("plastic_slip", "largest slip", LENGTH),
+            ("pressure", "highest pressure at any time", STRESS),
+            ("plastic_slip", "largest slip at any time", LENGTH),
         ):
             if name in frames.fields:
                 found.append((word, run.shown(float(np.nanmax(frames.fields[name])), dimension, 3)))
