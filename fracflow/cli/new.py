@@ -23,10 +23,10 @@ from fracflow.scene.toml import parse_toml, write_key, write_value
 from fracflow.scene.unusual import degrees
 from fracflow.storage.files import create_text, read_text, shown_plain
 
-MARGIN = 0.25  # of the larger extent of traces, from them to the sides
-CELLS, CELLS_AT_FRACTURES, PER_FRACTURE = 12, 40, 6  # along the domain, there at fractures, and along a usual one
+MARGIN = 1.0  # of the larger extent of traces, from them to the sides, which change their slip by a tenth at most
+CELLS, CELLS_AT_FRACTURES, PER_FRACTURE = 12, 80, 6  # along the domain, there at fractures, and along a usual one
 MOST_JOINTS = 2000
-RATE = 1e-3  # pumped into a domain of a kilometre [L/s per m]
+RATE = 5e-4  # pumped into a domain of a kilometre [L/s per m]
 MOST_NAMED = 20  # names in a comment
 
 
@@ -47,8 +47,8 @@ class SceneParts:
 
 FIRST = SceneParts(
     """[geometry] # x to the right, y upward [m]
-domain = [0, 0, 1000, 800] # xmin, ymin, xmax, ymax; the sides are called west, south, east, north
-size = 80 # of cells away from fractures; leave both sizes out, and they follow from the scene
+domain = [-600, -700, 1700, 1300] # xmin, ymin, xmax, ymax; the sides are called west, south, east, north
+size = 200 # of cells away from fractures; leave both sizes out, and they follow from the scene
 size_at_fractures = 25
 
 [[geometry.fracture]] # or all of them in a table: fractures_csv = "traces.csv" in [geometry]
@@ -63,7 +63,7 @@ points = [[430, 680], [640, 200]]
 name = "Clara"
 points = [[600, 540], [900, 380]]
 """,
-    1000.0,
+    2000.0,
     ("Anna", "Bruno", "Clara"),
 )
 SCENE = Path(__file__).with_name("first_scene.toml")

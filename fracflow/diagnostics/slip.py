@@ -233,8 +233,8 @@ def state_at_start(view: CheckInput) -> Number:
         return Number(name, formula, note="no friction with a state")
     end = int(np.nanargmax(np.abs(np.log(joints.steady[joint]))))
     value, theta = float(joints.steady[joint, end]), float(joints.state[joint, end])
-    does = "steady" if away < STEADY else "speeds up" if value > 1.0 else "slows down"
-    does += ", as just after far faster slip" if value < JUST_SLIPPED else ""
+    slows = "slows down" if value >= JUST_SLIPPED else "just slipped"
+    does = "steady" if away < STEADY else "speeds up" if value > 1.0 else slows
     return Number(name, formula, value, None, False, where, note=f"theta {view.scene.time_text(theta, 3)}; {does}")
 
 
