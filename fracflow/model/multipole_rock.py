@@ -73,7 +73,7 @@ class FarRock:
 
     @timed("FracFarTangent")
     def tangent_force(self, moved: Floats) -> Floats:
-        """The same to ``TANGENT_ERROR``, for solvers of Newton's method. Collective."""
+        """Forces (n,) as in ``force``, to ``TANGENT_ERROR``: for solvers of Newton's method. Collective."""
         return self._product(self._rough, moved)
 
     def _product(self, jumps: FarJumps, moved: Floats) -> Floats:

@@ -244,9 +244,9 @@ def suction_line(model: Model, state: State) -> str:
 
 
 def open_tip_line(model: Model, state: State) -> str:
-    """A line on a fracture that fluid has lifted open up to its end, where rock would crack; empty where none is.
+    """A line on a fracture that fluid has lifted open up to its end, where rock would crack; empty where there is none.
 
-    Walls meet in one node at an end within rock. What had no compression at the start was meant to be open. Collective.
+    Walls meet in one node at an end within rock. A fracture without compression at the start was open then. Collective.
     """
     scene, blocks, joints = model.scene, model.operators.blocks, model.operators.joints
     block = blocks.joints

@@ -384,7 +384,7 @@ class Newton:
             goes_on = before and not (is_wet and self._inner.is_new)
             self._circles = self._searches() and (cycles or goes_on)
         if not (self.holds or self._is_start):
-            self._restless = problem.take_statuses(problem.sections.history)
+            self._restless = problem.take_statuses(problem.sections)
         self._is_start = False
         is_balanced = self._balanced(problem, iteration)
         self._polished = self._polished + 1 if is_balanced else 0

@@ -22,7 +22,7 @@ from fracflow.model.compressibility import compression_of, lost, uptake_at, why_
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State, Work
+from fracflow.model.state import Forces, Motion, MotionValues, Sections, State, Work
 from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
 from fracflow.solve.request import StepRequest, StepRule
@@ -45,6 +45,7 @@ from fracflow.solve.residual import (
     round_off_of_uptake,
     round_off_of_volumes,
 )
+from fracflow.solve.statuses import Statuses
 
 SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
 BLURRED = 1e-11  # of the largest term, and of a gap: round-off of jumps from which on strains are followed
@@ -90,11 +91,12 @@ class StepProblem:
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.trial_status, self.sections = state.sections.history, state.sections
-        self.conduction: Conduction | None = None
+        self.sections = state.sections
+        self.trial_status, self._refused = Statuses.of(state.sections)
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
         self.fluid_before = None if operators.flow is None else compression_of(operators, state)
+        self.conduction: Conduction | None = None
         self.taken_up: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
@@ -397,13 +399,12 @@ class StepProblem:
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; return which (s,) of this rank did."""
-        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False).history)
+        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False))
 
-    def take_statuses(self, reached: SectionHistory) -> np.ndarray:
-        """Give every section the status it has reached; return which (s,) of this rank had another before."""
-        joints = self.operators.joints
-        changed = joints.have_changed(self.trial_status, reached)
-        self.trial_status = joints.with_status(self.state.sections.history, reached)
+    def take_statuses(self, found: Sections) -> np.ndarray:
+        """Give every section its status as ``found``; return which (s,) of this rank had another before."""
+        now, before = Statuses(self.trial_status, self._refused), self.state.sections.history
+        (self.trial_status, self._refused), changed = now.after(self.operators.joints, before, self.sections, found)
         return changed
 
     def initial_guess(self) -> Guess | None:

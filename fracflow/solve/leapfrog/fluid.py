@@ -18,6 +18,7 @@ from fracflow.solve.accept import memories_after
 from fracflow.solve.flow_round_off import flow_power
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.sections import given_before
+from fracflow.solve.statuses import Statuses
 
 
 class FluidStep:
@@ -36,7 +37,8 @@ class FluidStep:
         for part in self.loads.pressures:
             self.pressure.getArray()[part.numbers] = part.value(self.time, rule.adjacent)
         self.displacement = state.motion.displacement  # openings are those of the sections
-        self.trial_status, self.sections = state.sections.history, state.sections
+        self.sections = state.sections
+        self.trial_status, self._refused = Statuses.of(state.sections)
         self.fluid_before = compression_of(operators, state)
         self.conduction: Conduction | None = None
         self.taken_up: Floats | None = None
@@ -55,9 +57,9 @@ class FluidStep:
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; return which (s,) of this rank did."""
-        joints, reached = self.operators.joints, self.evaluate_joints(self.sections.strain, hold=False).history
-        changed = joints.have_changed(self.trial_status, reached)
-        self.trial_status = joints.with_status(self.state.sections.history, reached)
+        now, before = Statuses(self.trial_status, self._refused), self.state.sections.history
+        found = self.evaluate_joints(self.sections.strain, hold=False)
+        (self.trial_status, self._refused), changed = now.after(self.operators.joints, before, self.sections, found)
         return changed
 
     def undetermined(self, nodes: Ints) -> float:

@@ -17,13 +17,14 @@ from fracflow.errors import NotConverged
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
-from fracflow.model.state import SectionHistory, Sections
+from fracflow.model.state import Sections
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.failure import fractures_of
 from fracflow.solve.leapfrog.guess import JointGuess, joint_guess
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.residual import over_ranks
 from fracflow.solve.sections import MOTION_ROUND_OFF, TIGHT
+from fracflow.solve.statuses import Statuses
 
 
 class Solved(NamedTuple):
@@ -67,7 +68,7 @@ class JointSolver:
             self.operators.layout.comm,
             LawStep(step.time, step.dt, step.inertia, True),
         )
-        status, change = before.history, np.zeros_like(free)
+        statuses, change = Statuses.of(before), np.zeros_like(free)
         left, moduli = free, self._weights[:, :, None] * before.tangent
         rounds = since = total = 0
         while since <= self.most:
@@ -75,11 +76,11 @@ class JointSolver:
             correction = self._correction(left, moduli)
             limit = joints.step_limit(before.strain + change, correction, before)
             change = change + (limit if self._is_alone else comm.allreduce(limit, op=MPI.MIN)) * correction
-            found = joints.evaluate(before.strain + change, status, step)
-            changed = joints.have_changed(status, found.history)
+            found = joints.evaluate(before.strain + change, statuses.history, step)
             answer = found
-            if changed.any() and not step.hold:
-                answer = joints.evaluate(before.strain + change, status, held)
+            if not step.hold and joints.have_changed(statuses.history, found.history).any():
+                answer = joints.evaluate(before.strain + change, statuses.history, held)
+            next_ones, changed = statuses.after(joints, before.history, answer, found)
             left, moduli, size = self._balance(before, free, change, answer)
             beyond = np.abs(left) - MOTION_ROUND_OFF * size
             here = [float(each.max(initial=0.0)) for each in (np.abs(change), beyond, np.abs(left))]
@@ -99,8 +100,8 @@ class JointSolver:
                     " explicit step: take a smaller time_step",
                     kind="statuses",
                 )
-            status = self._with_status(before, found)
-            answer = joints.evaluate(before.strain + change, status, held)
+            statuses = next_ones
+            answer = joints.evaluate(before.strain + change, statuses.history, held)
             left, moduli, _ = self._balance(before, free, change, answer)
         where = fractures_of(self.operators.blocks, (beyond > TIGHT * moved).any(axis=1)) or "the network"
         raise NotConverged(
@@ -132,9 +133,6 @@ class JointSolver:
         if has_bad or not most <= TIGHT * moved:
             return None
         return Solved(answer, round(iterations), worst / moved if moved > 0.0 else 0.0)
-
-    def _with_status(self, before: Sections, found: Sections) -> SectionHistory:
-        return self.operators.joints.with_status(before.history, found.history)
 
     def _balance(
         self, before: Sections, free: Floats, change: Floats, answer: Sections
