@@ -252,7 +252,7 @@ def open_tip_line(model: Model, state: State) -> str:
     block = blocks.joints
     ends = block.bottom == block.top
     was_closed = joints.initial[:, -1] < 0.0
-    lifted = (state.sections.is_open & was_closed).reshape(len(block.ids), -1).any(axis=1) & ends.any(axis=1)
+    lifted = (state.sections.is_open & was_closed).reshape(-1, joints.points).any(axis=1) & ends.any(axis=1)
     here = ("", 0.0, 0.0)
     if len(found := np.flatnonzero(lifted)):
         joint = int(found[0])
