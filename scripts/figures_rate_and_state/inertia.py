@@ -64,7 +64,11 @@ def draw(moving: Run, slow: Run, folder: Path) -> list[Check]:
             )
         axes["moment"].plot(each.times[shown], each.moment[shown] / 1e12, color=each.colour, label=each.label)
         for time in np.arange(-BEFORE, AFTER + EVERY / 2, EVERY):
-            axes[key].plot(each.distance, each.at(each.slip, time), color=each.colour, linewidth=0.8)
+            along, slip = (
+                np.append(each.distance, HALF),
+                np.append(each.at(each.slip, time), 0.0),
+            )  # nothing slips beyond
+            axes[key].plot(along, slip, color=each.colour, linewidth=0.8)
         axes[key].set(xlabel="distance from the well [m]", ylabel="slip [m]", title=f"every {EVERY:g} s, {each.label}")
     most = 1.05 * max(float(each.at(each.slip, AFTER).max()) for each in events)
     for key in ("moving", "slow"):
