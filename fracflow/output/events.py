@@ -65,7 +65,7 @@ class _Running:
 
 
 SHARE = 100.0  # of the CPU time that writing the file takes, once that was ``LONG`` in all, lie between two such times
-LONG = 0.05  # [s]
+LONG = 0.01  # [s]
 
 
 class EventLog:
@@ -87,6 +87,7 @@ class EventLog:
         self.rows: list[dict[str, Any]] = []
         self._lines: dict[int, str] = {}  # of rows that have ended, which stay as they are
         self._spent = self._rest = self._written = 0.0
+        self._is_behind = False
         self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
         count = len(nodes.node)
         self._running = {kind: _Running(np.full(count, -1), np.zeros(self._shape), np.zeros(count)) for kind in _KINDS}
@@ -125,9 +126,11 @@ class EventLog:
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
             self._start(kind, i, began, time)
         self._plastic_slip = plastic_slip
-        if (changed or starts) and time_of_process() - self._written >= self._rest:
+        changed = changed or bool(starts)
+        self._is_behind = self._is_behind or changed
+        if self._is_behind and time_of_process() - self._written >= self._rest:
             self._write()
-        return changed or bool(starts)
+        return changed
 
     def _vectors(self, values: ArrayLike) -> Floats:
         """Values at the nodes as (n, dim-1), a copy."""
@@ -206,7 +209,7 @@ class EventLog:
                 self._lines[number] = text.getvalue()[begin:]
         table.writerows(besides)
         write_atomic(self.path, text.getvalue())
-        self._written = time_of_process()
+        self._written, self._is_behind = time_of_process(), False
         spent = self._written - began
         self._spent += spent
         self._rest = SHARE * spent if self._spent > LONG else 0.0

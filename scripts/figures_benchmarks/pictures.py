@@ -17,7 +17,7 @@ from figures_benchmarks.benchmark import Result, front
 KINDS = {
     "cracks": (BLUE, ("T junction", "Sneddon", "friction crack")),
     "flow that opens fractures": (GREEN, ("KGD", "Task B", "Wijesinghe", "Sotra network")),
-    "slip that fluid drives": (ORANGE, ("Viesca", "BP6, constant friction", "BP6, rate and state")),
+    "slip that fluid drives": (ORANGE, ("Viesca", "BP6, constant friction", "BP6, rate and state", "BP6, a well")),
     "waves": (PINK, ("rupture", "absorbing side")),
 }
 """Kind -> colour and the problems of it, each with a marker of its own."""
