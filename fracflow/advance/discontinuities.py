@@ -159,5 +159,5 @@ def _first_instant(
             initial_acceleration(ops, problem, motion.acceleration)
         forces = problem.forces(motion)
         failed.pop_all()
-        start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
+        start = replace(begun, pressure=problem.pressure.copy(), sections=problem.recorded(), forces=forces)
     return replace(start, previous_step=PreviousStep(), uptake=rate)

@@ -41,7 +41,7 @@ def storage_matrix(kind: str, points: Floats) -> Floats:
 
 def conductivity(conductance: Floats) -> Floats:
     """(3.8)-(3.14a) k_F (n, 2, 2) of conductances (n,) [flow rate/pressure]; k_F p = flow rates into it."""
-    return np.asarray(np.einsum("n,i,j->nij", conductance, _ENDS, _ENDS))
+    return np.asarray(conductance[:, None, None] * np.outer(_ENDS, _ENDS))
 
 
 def element_flow(conductance: Floats, pressure: Floats) -> Floats:

@@ -174,22 +174,21 @@ class FrontCubic(ExactCubic):
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
         hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
         found, rest = self._between(hydraulic, by_opening, by_slip), self._rest
-        is_apart = opening > -rest[:, None]
-        apart = np.where(is_apart, opening, -rest[:, None])
+        apart = np.maximum(opening, -rest[:, None])
         parted = apart[:, 0] - apart[:, 1]
         beyond = np.abs(parted) - rest
-        there = beyond > 0.0
-        if not there.any():
+        at = np.flatnonzero(beyond > 0.0)
+        if not len(at):
             return found
-        beyond, total = np.where(there, beyond, 1.0), np.where(there, hydraulic.sum(axis=1), 1.0)
-        front = np.where(there, FRONT * beyond**4 / total, 0.0) / self._resists
-        away = (4.0 * front * np.sign(parted) / beyond)[:, None] * np.array([1.0, -1.0]) * is_apart
+        beyond, total, is_apart = beyond[at], hydraulic[at].sum(axis=1), opening[at] > -rest[at, None]
+        front = FRONT * beyond**4 / total / self._resists[at]
+        away = (4.0 * front * np.sign(parted[at]) / beyond)[:, None] * np.array([1.0, -1.0]) * is_apart
         narrower = (front / total)[:, None]
-        return Conductance(
-            found.value + front,
-            found.by_opening + away - narrower * by_opening,
-            None if by_slip is None or found.by_slip is None else found.by_slip - narrower[:, :, None] * by_slip,
-        )
+        found.value[at] += front
+        found.by_opening[at] = found.by_opening[at] + away - narrower * by_opening[at]
+        if by_slip is not None and found.by_slip is not None:
+            found.by_slip[at] -= narrower[:, :, None] * by_slip[at]
+        return found
 
 
 class ReportCubic(CubicLaw):

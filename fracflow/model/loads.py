@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,7 @@ class Loads:
         """Whether a row of its own stands for the balance of any flow node."""
         return bool(self.closures) or self.summed is not None
 
-    @property
+    @cached_property
     def held(self) -> Ints:
         """Local numbers (n,) of the solid unknowns that are prescribed, or stay where they are."""
         parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
@@ -99,7 +100,7 @@ class Loads:
         """The same for a stage without inertia: what terms hold stays where it is."""
         return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
 
-    @property
+    @cached_property
     def given_pressures(self) -> Ints:
         """Local numbers (n,) of the flow nodes of this rank whose pressure is prescribed."""
         return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])

@@ -53,7 +53,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     given = problem.loads.given_pressures
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     pressure, controls = problem.pressure.copy(), dict(problem.controls)
-    new = State(problem.time, motion, pressure, problem.sections, forces, controls, energy, uptake=problem.uptake())
+    new = State(problem.time, motion, pressure, problem.recorded(), forces, controls, energy, uptake=problem.uptake())
     new = replace(new, memory=memories_after(problem), stage_start=problem.state.stage_start)
     drive = max(problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX))
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))

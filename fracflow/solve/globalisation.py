@@ -43,20 +43,21 @@ class StatusHistory:
     def see(self, statuses: Statuses) -> bool:
         """Whether all sections of all ranks had these statuses before, and others in between. Collective."""
         now = statuses.tobytes()
-        same = np.array([now == old for old in self._bytes], dtype=np.int32)
-        everywhere = same.copy()
+        same = [now == old for old in self._bytes]
         if self.comm.size > 1:
-            self.comm.Allreduce(same, everywhere, op=MPI.MIN)
-        first = int(np.flatnonzero(everywhere)[-1]) if everywhere.any() else -1
-        others = self._seen[first:]
-        self.changed = statuses != statuses
-        for old in others:
+            everywhere = np.array(same, dtype=np.int32)
+            self.comm.Allreduce(MPI.IN_PLACE, everywhere, op=MPI.MIN)
+            same = everywhere.astype(bool).tolist()
+        self.is_new = not any(same)
+        since = -1 if self.is_new else max(np.flatnonzero(same))
+        self.changed = np.zeros(statuses.shape, dtype=bool)
+        for old in self._seen[since:]:
             self.changed |= statuses != old
-        self._seen.append(statuses.copy())
+        self._seen.append(statuses)
         self._bytes.append(now)
-        self.is_new = not everywhere.any()
-        self.still = self.still + 1 if everywhere.any() and everywhere[-1] else 0
-        return bool(everywhere.any()) and not everywhere[-1]
+        is_last = bool(same) and same[-1]
+        self.still = self.still + 1 if is_last else 0
+        return not self.is_new and not is_last
 
 
 PERIODS = (2, 3)  # iterations after which Newton's method is where it was, seen where laws have a kink and status stays
@@ -73,11 +74,11 @@ class Repetition:
 
     def begin(self) -> None:
         """Forget all that was seen."""
-        self._seen: list[Floats] = []
+        self._seen: list[list[float]] = []
 
     def see(self, *residuals: float) -> bool:
         """Whether those of the last period are those of the period before, and not all the same."""
-        self._seen.append(np.maximum(residuals, self._least))
+        self._seen.append([max(residual, self._least) for residual in residuals])
         return any(self._has(period) for period in PERIODS)
 
     def _has(self, period: int) -> bool:
@@ -94,7 +95,7 @@ def statuses(problem: StepProblem) -> Statuses:
     for group, past in zip(problem.operators.joints.laws, problem.trial_status, strict=True):
         for name in group.law.status:
             way = past[name] if past[name].ndim > 1 else past[name][:, None]
-            found[group.sections, 1] = np.where(way[:, 0] < 0.0, -1, 1) * way.any(axis=1)
+            found[group.sections, 1] = np.where(way[:, 0] < 0.0, -1, way.any(axis=1))
     return found
 
 

@@ -195,7 +195,7 @@ class Newton:
         problem = self.problem
         if self.method.is_kept and self._is_filled:
             return
-        moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
+        moduli = self.method.moduli(problem)
         if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
         conduction = problem.conduction

@@ -7,6 +7,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cached_property
 
@@ -19,7 +20,6 @@ from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
-from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, Sections, State, Work
@@ -146,6 +146,11 @@ class StepProblem:
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
 
+    @cached_property
+    def _largest_given(self) -> float:
+        """The largest on this rank of the terms that no trial changes: loads and initial stress [force per thickness]."""
+        return max(largest(self.load), largest(self.operators.prestress))
+
     @timed("FracEvaluate")
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial. Sections keep ``trial_status``, or with ``hold`` False may leave it once.
@@ -154,8 +159,8 @@ class StepProblem:
         """
         ops, u, p = self.operators, self.displacement, self.pressure
         self.work.evaluations += 1
-        self.accept(self.evaluate_joints(self._strain(), hold))
-        solid, terms = self.solid_balance, [largest(self.load)]
+        self._take(self.evaluate_joints(self._strain(), hold))
+        solid, terms = self.solid_balance, [self._largest_given]
         solid.set(0.0)
         term = solid.duplicate()
 
@@ -167,8 +172,7 @@ class StepProblem:
         terms += self.moving.add(acceleration, speed, u, solid)
         ops.rock_force(u, term)
         add(1.0)
-        ops.prestress.copy(term)
-        add(1.0)
+        solid.axpy(1.0, ops.prestress)
         term.set(0.0)
         ops.joints.force(self.sections.traction, term)
         add(1.0)
@@ -210,15 +214,19 @@ class StepProblem:
         """The same for terms with a memory."""
         return TermStep(self.state.memory, self.alphas, self.time - self.state.time)
 
-    def accept(self, answer: Sections) -> None:
+    def _take(self, answer: Sections) -> None:
         """Take the response of the sections to the present motion."""
-        before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
-        record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
-        self._rounded, blur = self._moved, before.blur
+        self.sections, self._moved = answer, self.operators.joints.moved(self.increment)
+        self._rounded = self._moved
         if self._is_followed is not None:
             self._rounded = np.where(self._is_followed, np.abs(answer.strain), self._moved)
-            blur = np.where(self._is_followed, 0.0, blur)
-        self.sections = replace(answer, blur=round_off_of_jumps(blur, self._rounded), record=record)
+
+    def recorded(self) -> Sections:
+        """The sections of the trial, as last evaluated, with the largest tractions and the round-off since the start."""
+        before, now = self.state.sections, self.sections
+        record = np.maximum(before.record, np.linalg.norm(now.traction, axis=1))
+        blur = before.blur if self._is_followed is None else np.where(self._is_followed, 0.0, before.blur)
+        return replace(now, blur=round_off_of_jumps(blur, self._rounded), record=record)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""
@@ -235,8 +243,8 @@ class StepProblem:
         """(4.2e) Acceleration of the trial, in a new vector. Collective."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start))
-        for part in self._driven():
-            result.getArray()[part.numbers] = part.acceleration(self.time, self.rule.adjacent)
+        for numbers, _, driven in self._driven:
+            result.getArray()[numbers] = driven
         return result
 
     def velocity(self) -> PETSc.Vec:
@@ -244,12 +252,16 @@ class StepProblem:
         before, result = self.state.previous_step.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start, mean))
-        for part in self._driven():
-            result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
+        for numbers, driven, _ in self._driven:
+            result.getArray()[numbers] = driven
         return result
 
-    def _driven(self) -> tuple[PrescribedValues, ...]:  # whose motion the scene prescribes, not the integrator
-        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.rule.adjacent) > 0.0 else ()
+    @cached_property
+    def _driven(self) -> list[tuple[Ints, float | Floats, float | Floats]]:
+        """Local numbers (n,), speed and acceleration of unknowns that the scene moves, where not the integrator does."""
+        time, around = self.time, self.rule.adjacent
+        parts = self.loads.supports if self.alphas.a0 > 0.0 and max(around) > 0.0 else ()
+        return [(part.numbers, part.speed(time, around), part.acceleration(time, around)) for part in parts]
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
@@ -388,7 +400,7 @@ class StepProblem:
             conducts, holds = over_ranks(here, self.operators.layout.comm)
             scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
             scale = max(scale, self.alphas.b1 * holds * scales.pressure)
-            self._scale = float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+            self._scale = 2.0 ** round(math.log2(scale)) if scale > 0.0 else 1.0
         return self._scale
 
     def undetermined(self, nodes: Ints) -> float:

@@ -65,8 +65,8 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     sizes = np.abs(conduction.pressure) + np.abs(network.resting_end)
-    rounded = NOISE * UNIT_ROUND_OFF * conduction.conductance * (sizes[:, 0] + sizes[:, 1])
-    return np.repeat(rounded[:, None], 2, axis=1)
+    rounded: Floats = (NOISE * UNIT_ROUND_OFF * conduction.conductance)[:, None] * (sizes + sizes[:, ::-1])
+    return rounded
 
 
 def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow.mesh.data import Floats
-from fracflow.model.joints import Joints
 from fracflow.model.operators import Scales
-from fracflow.model.state import Sections
+from fracflow.solve.problem import StepProblem
 
 SOFT = 1e-6  # of the natural stiffness: it holds a loose block on its way to the next contact
 
@@ -36,26 +35,27 @@ class SingularMatrix(Exception):
 class Stiffness:
     """How an iteration makes its matrix.
 
-    moduli     (joints, sections) -> moduli (s, dim, dim) of this rank's joint sections [stress/length]
+    moduli     moduli (s, dim, dim) of this rank's joint sections at the trial of a problem [stress/length]
     is_kept    the matrix of a step's first iteration serves for the whole step
     weakness   why it may fail where joints have slipped; empty if it does not
     """
 
-    moduli: Callable[[Joints, Sections], Floats]
+    moduli: Callable[[StepProblem], Floats]
     is_kept: bool = False
     weakness: str = ""
 
 
-def tangent_moduli(joints: Joints, sections: Sections) -> Floats:
+def tangent_moduli(problem: StepProblem) -> Floats:
     """(2.22) d f / d eps (s, dim, dim) of the laws' response."""
-    return sections.tangent
+    return problem.sections.tangent
 
 
-def secant_moduli(joints: Joints, sections: Sections) -> Floats:
+def secant_moduli(problem: StepProblem) -> Floats:
     """(f - f_0) / eps (s, dim, dim), component by component, from the initial state to here; the tangent at eps = 0.
 
     Back at eps = 0 with plastic slip there is no secant: it is as steep there as round-off of eps lets it be.
     """
+    joints, sections = problem.operators.joints, problem.recorded()
     strain, tangent = sections.strain, np.diagonal(sections.tangent, axis1=1, axis2=2)
     least = np.where(strain < 0.0, -1.0, 1.0) * np.maximum(np.abs(strain), sections.blur)
     moved = least != 0.0
