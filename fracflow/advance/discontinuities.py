@@ -16,6 +16,7 @@ from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, SectionHistory, State, forgetful
+from fracflow.solve.accept import balanced_forces
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
@@ -157,7 +158,7 @@ def _first_instant(
         if parts:
             problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
-        forces = problem.forces(motion)
+        forces = balanced_forces(problem, motion)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.recorded(), forces=forces)
     return replace(start, previous_step=PreviousStep(), uptake=rate)

@@ -9,10 +9,11 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Floats
+from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import taken_between
 from fracflow.model.contact_mass import follow
 from fracflow.model.operators import Operators
-from fracflow.model.state import Motion, PreviousStep, State, StepReport
+from fracflow.model.state import Forces, Motion, PreviousStep, State, StepReport
 from fracflow.solve.flow_round_off import flow_power
 from fracflow.solve.newton import NewtonReport
 from fracflow.solve.problem import StepProblem
@@ -49,7 +50,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
         follow(problem.operators, motion.velocity)
         follow(problem.operators, motion.acceleration)
     drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
-    forces = problem.forces(motion)
+    forces = balanced_forces(problem, motion)
     given = problem.loads.given_pressures
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     pressure, controls = problem.pressure.copy(), dict(problem.controls)
@@ -57,6 +58,37 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     new = replace(new, memory=memories_after(problem), stage_start=problem.state.stage_start)
     drive = max(problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX))
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
+
+
+def balanced_forces(problem: StepProblem, motion: Motion) -> Forces:
+    """Terms of both balances at one instant, with the reactions of what is held; the caller owns them. Collective."""
+    ops = problem.operators
+    of_terms = problem.terms.forces(motion.velocity)
+    support = static_balance(
+        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, of_terms.values()
+    )
+    ops.mass.multAdd(motion.acceleration, support, support)
+    conduction, source = ops.layout.flow_vector(), problem.source.copy()
+    if ops.flow is not None:
+        assert problem.conduction is not None
+        ops.flow.outflow(problem.conduction, conduction)
+        if problem.loads.faint is not None:
+            given, left = problem.loads.given_pressures, problem.flow_left()
+            conduction.setArray(problem.loads.faint.balanced(conduction.getArray(), left, given))
+        drawn = ops.layout.flow_vector()
+        ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
+        drawn.axpy(1.0, conduction)
+        if (uptake := problem.uptake()) is not None:
+            drawn.axpy(1.0, uptake)
+            uptake.destroy()
+        for part in problem.loads.pressures:
+            source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
+        drawn.destroy()
+    held = np.zeros(ops.layout.solid_count, dtype=bool)
+    held[problem.loads.held] = True
+    support.getArray()[~held] = 0.0
+    anchor = None if problem.terms.anchor is None else problem.terms.anchor.copy()
+    return Forces(problem.load.copy(), support, conduction, source, of_terms, problem.terms.powers, anchor)
 
 
 def memories_after(problem: SectionProblem) -> dict[str, Floats]:

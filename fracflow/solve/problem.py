@@ -18,11 +18,11 @@ from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.balance import static_balance, static_balance_of
+from fracflow.model.balance import static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, Sections, State, Work
+from fracflow.model.state import MotionValues, Sections, State, Work
 from fracflow.model.terms.term import TermStep
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
 from fracflow.solve.request import StepRequest, StepRule
@@ -228,10 +228,6 @@ class StepProblem:
         blur = before.blur if self._is_followed is None else np.where(self._is_followed, 0.0, before.blur)
         return replace(now, blur=round_off_of_jumps(blur, self._rounded), record=record)
 
-    def forces(self, motion: Motion) -> Forces:
-        """Terms of both balances at the end of the step; the caller owns them. Collective."""
-        return balance_terms(self, motion)
-
     # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. Store the motion of
     # this step as the trial, and zero as the last state: both have more digits so.
     @cached_property
@@ -429,34 +425,3 @@ class StepProblem:
         """Free the vectors of the trial."""
         destroy(self.load, self.source, self.displacement, self.increment, self.pressure)
         destroy(self.solid_balance, self.flow_balance, self.moving)
-
-
-def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
-    """Terms of both balances at one instant, with the reactions of what is held. Collective."""
-    ops = problem.operators
-    of_terms = problem.terms.forces(motion.velocity)
-    support = static_balance(
-        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, of_terms.values()
-    )
-    ops.mass.multAdd(motion.acceleration, support, support)
-    conduction, source = ops.layout.flow_vector(), problem.source.copy()
-    if ops.flow is not None:
-        assert problem.conduction is not None
-        ops.flow.outflow(problem.conduction, conduction)
-        if problem.loads.faint is not None:
-            given, left = problem.loads.given_pressures, problem.flow_left()
-            conduction.setArray(problem.loads.faint.balanced(conduction.getArray(), left, given))
-        drawn = ops.layout.flow_vector()
-        ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
-        drawn.axpy(1.0, conduction)
-        if (uptake := problem.uptake()) is not None:
-            drawn.axpy(1.0, uptake)
-            uptake.destroy()
-        for part in problem.loads.pressures:
-            source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
-        drawn.destroy()
-    held = np.zeros(ops.layout.solid_count, dtype=bool)
-    held[problem.loads.held] = True
-    support.getArray()[~held] = 0.0
-    anchor = None if problem.terms.anchor is None else problem.terms.anchor.copy()
-    return Forces(problem.load.copy(), support, conduction, source, of_terms, problem.terms.powers, anchor)
