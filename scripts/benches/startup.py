@@ -1,6 +1,6 @@
 """CPU before the first step, beside that of the packages that a run cannot do without.
 
-    scripts/bench startup [--pairs N] [--most RATIO] [--modules] [--run-only] [--parts] [--until-met]
+    scripts/bench startup [--pairs N] [--most RATIO] [--modules] [--run-only] [--parts]
 
 The base is a Python that imports NumPy, mpi4py, petsc4py and h5py, and ends. In each pair it takes turns with
 ``fracflow run``, up to the record of its initial state: of a scene with a mesh file, and of one whose traces are meshed. Then
@@ -9,8 +9,7 @@ which runs in a process of its own. A run of one step is counted whole: with its
 The least of all pairs is printed: a busy machine only adds. Bytecode is kept, as pip does.
 Exit 1 where the ratio of the first run is above --most.
 
-    --modules   lists what has been imported at the first step, by package
-    --until-met takes no more pairs than --most needs
+    --modules   lists what has been imported at the first step, by package, and how much beside the base
     --run-only  leaves out all but the base and the first run
     --parts     shares of the first run: the base, other packages that it imports, modules of fracflow, and its work, which is
                 what it takes once all is imported; besides, how much would be left if modules of fracflow took no time
@@ -19,7 +18,6 @@ Exit 1 where the ratio of the first run is above --most.
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import subprocess
 import sys
@@ -78,14 +76,10 @@ def cpu(code: str, words: list[str], kept: str) -> tuple[float, list[str]]:
     return float(time), modules
 
 
-def least(ways: dict[str, tuple[str, list[str]]], pairs: int, kept: str, most: float = 0.0) -> dict[str, float]:
-    """CPU [s] of each way, the least of so many times in turns, or of fewer where the first run meets ``most``."""
-    times = dict.fromkeys(ways, math.inf)
-    for _ in range(pairs):
-        times = {name: min(before, cpu(*ways[name], kept)[0]) for name, before in times.items()}
-        if times.get(FIRST, math.inf) <= most * times["base"]:
-            break
-    return times
+def least(ways: dict[str, tuple[str, list[str]]], pairs: int, kept: str) -> dict[str, float]:
+    """CPU [s] of each way, the least of so many times in turns."""
+    found = [[cpu(*way, kept)[0] for way in ways.values()] for _ in range(pairs)]
+    return {name: min(each) for name, each in zip(ways, zip(*found, strict=True), strict=True)}
 
 
 def print_parts(modules: list[str], pairs: int, kept: str) -> None:
@@ -114,7 +108,6 @@ def main() -> None:
     parser.add_argument("--modules", action="store_true")
     parser.add_argument("--run-only", action="store_true")
     parser.add_argument("--parts", action="store_true")
-    parser.add_argument("--until-met", action="store_true")
     given = parser.parse_args()
     ways = {"base": (BASE, []), FIRST: (RUN, ["run", str(SCENE), "-o", "run"])}
     if not given.run_only:
@@ -130,7 +123,7 @@ def main() -> None:
         }
     with tempfile.TemporaryDirectory() as kept:
         found = {name: cpu(*way, kept)[1] for name, way in ways.items()}  # which compiles
-        times = least(ways, given.pairs, kept, given.most if given.until_met else 0.0)
+        times = least(ways, given.pairs, kept)
         if given.parts:
             print_parts(found[FIRST], given.pairs, kept)
     for name, seconds in times.items():
@@ -138,6 +131,8 @@ def main() -> None:
     if given.modules:
         packages = Counter(name.partition(".")[0] for name in found[FIRST])
         print(*(f"{count:5d} {name}" for name, count in packages.most_common(20)), sep="\n")
+        more = Counter(name.partition(".")[0] == "fracflow" for name in {*found[FIRST]} - {*found["base"]})
+        print(f"modules beside the base: {more[True]} of fracflow, {more[False]} of other packages")
     sys.exit(times[FIRST] > given.most * times["base"])
 
 
