@@ -122,7 +122,7 @@ def test_a_run_cut_anywhere_ends_as_the_whole_one(case, shared_tmp):
         comm.barrier()
     scene = load(file, ["output.pictures=false", EVERY, *overrides])
     run(scene, shared_tmp / "whole", comm)
-    for cut in cuts:
+    for cut in cuts if comm.size == 1 else cuts[-1:]:
         folder, count = shared_tmp / f"cut{cut}", [0]
 
         def stop(step, at=cut, count=count):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -97,8 +99,45 @@ def groups_of(operators: Operators, own: Ints, by_nodes: bool) -> list[Ints]:
     return [in_order[counts[group[in_order]] == m].reshape(-1, m) for m in np.unique(counts)]
 
 
-def blocks_of(matrix: PETSc.Mat, own: Ints, groups: list[Ints]) -> list[Floats]:
-    """Blocks (c, m, m) of a matrix at each group of ``own``."""
+@dataclass(frozen=True)
+class BlockDiagonal:
+    """A matrix that couples unknowns within a group alone.
+
+    groups  places (c, m) of the unknowns of each group, by their number m: each place is in one group
+    blocks  (c, m, m) of each
+    """
+
+    groups: list[Ints]
+    blocks: list[Floats]
+
+    @cached_property
+    def _diagonal(self) -> Floats | None:
+        """Its diagonal (n,), where it couples none of them: of dashpots at sides along an axis, for one."""
+        result = np.empty(sum(members.size for members in self.groups))
+        for members, block in zip(self.groups, self.blocks, strict=True):
+            of_block = np.einsum("cii->ci", block)
+            if np.count_nonzero(block) > np.count_nonzero(of_block):
+                return None
+            result[members] = of_block
+        return result
+
+    def times(self, values: Floats) -> Floats:
+        """The product (n,) with values (n,)."""
+        if self._diagonal is not None:
+            return self._diagonal * values
+        result = np.empty(len(values))
+        for members, block in zip(self.groups, self.blocks, strict=True):
+            if members.shape[1] == 2:
+                x, y = values[members[:, 0]], values[members[:, 1]]
+                result[members[:, 0]] = block[:, 0, 0] * x + block[:, 0, 1] * y
+                result[members[:, 1]] = block[:, 1, 0] * x + block[:, 1, 1] * y
+            else:
+                result[members] = np.einsum("cij,cj->ci", block, values[members])
+        return result
+
+
+def block_diagonal(matrix: PETSc.Mat, own: Ints, groups: list[Ints]) -> BlockDiagonal:
+    """The part of a matrix within each group of ``own`` (n,)."""
     row, col, value = _own_entries(matrix)
     found = [np.zeros((*members.shape, members.shape[1])) for members in groups]
     batch, number, place = (np.full(matrix.getLocalSize()[0], -1) for _ in range(3))
@@ -111,20 +150,7 @@ def blocks_of(matrix: PETSc.Mat, own: Ints, groups: list[Ints]) -> list[Floats]:
         one, other = row[inside], col[inside]
         same = number[one] == number[other]
         blocks[number[one[same]], place[one[same]], place[other[same]]] = value[inside][same]
-    return found
-
-
-def by_blocks(groups: list[Ints], blocks: list[Floats], values: Floats) -> Floats:
-    """Blocks (c, m, m) of each group times values (n,)."""
-    result = np.empty(len(values))  # each value is in one group
-    for members, block in zip(groups, blocks, strict=True):
-        if members.shape[1] == 2:
-            x, y = values[members[:, 0]], values[members[:, 1]]
-            result[members[:, 0]] = block[:, 0, 0] * x + block[:, 0, 1] * y
-            result[members[:, 1]] = block[:, 1, 0] * x + block[:, 1, 1] * y
-        else:
-            result[members] = np.einsum("cij,cj->ci", block, values[members])
-    return result
+    return BlockDiagonal(groups, found)
 
 
 class ChangingLoads:

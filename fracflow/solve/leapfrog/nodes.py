@@ -15,11 +15,11 @@ from fracflow.model.terms.term import MeanDamping, Term, summed
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE
 from fracflow.solve.leapfrog.local import (
+    BlockDiagonal,
     ChangingLoads,
     LocalMatrix,
-    blocks_of,
+    block_diagonal,
     bodies_of,
-    by_blocks,
     groups_of,
     touched,
 )
@@ -42,9 +42,12 @@ class Nodes:
     own     those of nodes with supports or dashpots, and of rigid bodies, whose accelerations are found apart from the rest
     no_support  zeros, where no rank holds an unknown; else None. PETSc keeps their norm
     groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
-    mass    (n,) diagonal, of all local unknowns; ``inverse`` of those in ``every``, 0 where held and on bodies
-    at_pushed  places in ``every`` of free unknowns that changing loads or joints push
-    bodies  (b, r) places in ``every`` of the unknowns of rigid bodies; their inverse masses (b, r, r), 0 where held
+    mass    (n,) diagonal, of all local unknowns
+    pushed  places in ``every`` of unknowns that changing loads or joints push, and of rigid bodies; those places in ``pushed``:
+            ``free`` of what is neither held nor on a body, ``by_loads`` and ``by_joints``, ``bodies`` (b, r),
+            ``pushed_own`` of those in ``own``, which are ``own_pushed`` there
+    inverse  (p,) of their masses, 0 where held and on bodies, whose inverse masses (b, r, r) are 0 where held
+    forced  places in ``every`` where outer forces change: of loads, joints, damping and springs
     """
 
     def __init__(self, operators: Operators, scene: Scene, loads: Loads, damping: dict[str, MeanDamping]) -> None:
@@ -72,9 +75,9 @@ class Nodes:
         self.own: Ints = np.flatnonzero(is_own)
         self.rock.hold(is_own, self.mass)
         self.groups = groups_of(operators, self.own, plain)
-        self.of_mass = blocks_of(operators.mass, self.own, self.groups)
-        self.dashpots = {term.name: blocks_of(term.damping, self.own, self.groups) for term in self.acting}
-        self._inverses: dict[float, list[Floats]] = {}
+        self.inertia = block_diagonal(operators.mass, self.own, self.groups)
+        self.dashpots = {term.name: block_diagonal(term.damping, self.own, self.groups) for term in self.acting}
+        self._inverses: dict[float, BlockDiagonal] = {}
 
         self.jump = LocalMatrix(joints.jump, touched(joints.jump), square=False)
         self.sizes = LocalMatrix(joints.sizes, self.jump.numbers, square=False)
@@ -92,17 +95,14 @@ class Nodes:
         self.every: Ints = np.unique(np.concatenate(numbers))
         self.places: Ints = self.rock.places[self.every]
         self.is_held, self.on_body = is_held[self.every], self.on_body[self.every]
-        alone = ~self.is_held & ~self.on_body
-        self.inverse = np.zeros(len(self.every))
-        self.inverse[alone] = 1.0 / self.mass[self.every[alone]]
-        self.bodies = self.find(bodies)
-        self.inverse_of_bodies = self._inverse_of_bodies(operators, bodies)
         self.at_held, self.at_own, self.at_jump = (self.find(each) for each in (self.held, self.own, self.jump.numbers))
         self.at_loads = self.find(self.changing.numbers)
-        pushed = np.union1d(self.at_loads, self.at_jump)
-        self.at_pushed: Ints = pushed[~(self.is_held | self.on_body)[pushed]]
         self.at_damped = {name: self.find(each.numbers) for name, each in self.damping.items()}
         self.at_springs = {name: self.find(each.numbers) for name, each in self.springs.items()}
+        forced = self.at_loads, self.at_jump, *self.at_damped.values(), *self.at_springs.values()
+        self.forced: Ints = np.unique(np.concatenate(forced))
+        self.places_forced, self.places_own = self.places[self.forced], self.places[self.at_own]
+        self._find_pushed(operators, bodies)
         self.free_bodies = np.flatnonzero((self.on_body & ~self.is_held)[self.at_own])
         self.held_of_own = np.searchsorted(self.own, self.held)
         force = operators.layout.solid_vector()
@@ -110,6 +110,21 @@ class Nodes:
         force.destroy()
         self.prestress = np.zeros(self.rock.e.shape)
         self.rock.begin(operators.prestress, self.prestress)
+
+    def _find_pushed(self, operators: Operators, bodies: Ints) -> None:
+        self.pushed: Ints = np.unique(np.concatenate([self.at_loads, self.at_jump, self.find(bodies).ravel()]))
+        self.places_pushed: Ints = self.places[self.pushed]
+        is_held = self.is_held[self.pushed]
+        is_free = ~is_held & ~self.on_body[self.pushed]
+        self.inverse = np.zeros(len(self.pushed))
+        self.inverse[is_free] = 1.0 / self.mass[self.every[self.pushed[is_free]]]
+        self.free = np.flatnonzero(is_free)
+        self.by_loads, self.by_joints = (np.searchsorted(self.pushed, each) for each in (self.at_loads, self.at_jump))
+        self.bodies = np.searchsorted(self.pushed, self.find(bodies))
+        whole = block_diagonal(operators.mass, np.arange(len(self.mass)), [bodies]).blocks[0]
+        self.inverse_of_bodies = _inverted(whole, ~is_held[self.bodies])
+        both = np.intersect1d(self.pushed, self.at_own)
+        self.pushed_own, self.own_pushed = (np.searchsorted(each, both) for each in (self.pushed, self.at_own))
 
     def find(self, numbers: Ints) -> Ints:
         """Places (n,) of local numbers (n,) in ``every``."""
@@ -120,35 +135,25 @@ class Nodes:
         found = [np.broadcast_to(value(part), part.numbers.shape) for part in self.loads.supports if len(part.numbers)]
         return np.concatenate([np.zeros(0), *found])
 
-    def _inverse_of_bodies(self, operators: Operators, bodies: Ints) -> Floats:
-        """M^-1 of rigid bodies (b, r, r); nothing where held."""
-        whole = blocks_of(operators.mass, np.arange(len(self.mass)), [bodies])[0]
-        free = ~self.is_held[self.bodies]
-        return _inverted(whole, free)
-
     def accelerated(self, force: Floats) -> Floats:
-        """M^-1 times forces (n,) at ``every``; nothing where held."""
+        """M^-1 times forces (n,) at ``pushed``; nothing where held."""
         result = self.inverse * force
         if len(self.bodies):
             result[self.bodies] = np.einsum("bij,bj->bi", self.inverse_of_bodies, force[self.bodies])
         return result
 
-    def inertia(self, acceleration: Floats) -> Floats:
-        """M times accelerations (n,) of ``own``."""
-        return by_blocks(self.groups, self.of_mass, acceleration)
-
-    def inverse_with_dashpots(self, dt: float) -> list[Floats]:
-        """(M + dt/2 C)^-1 of the groups of ``own``, (c, m, m) each; nothing where held."""
+    def inverse_with_dashpots(self, dt: float) -> BlockDiagonal:
+        """(M + dt/2 C)^-1 at ``own``; nothing where held."""
         if dt not in self._inverses:
             if len(self._inverses) == MOST_KEPT:
                 self._inverses.clear()
             found, is_held = [], self.is_held[self.at_own]
-            for i, (members, mass) in enumerate(zip(self.groups, self.of_mass, strict=True)):
+            for i, (members, mass) in enumerate(zip(self.groups, self.inertia.blocks, strict=True)):
                 matrix = np.zeros(mass.shape)
-                for blocks in self.dashpots.values():
-                    matrix += 0.5 * dt * blocks[i]
+                for dashpot in self.dashpots.values():
+                    matrix += 0.5 * dt * dashpot.blocks[i]
                 found.append(_inverted(matrix + mass, ~is_held[members]))
-            self._inverses[dt] = found
+            self._inverses[dt] = BlockDiagonal(self.groups, found)
         return self._inverses[dt]
 
     def destroy(self) -> None:

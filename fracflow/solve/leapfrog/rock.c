@@ -56,7 +56,8 @@ INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x,
 #define PAIRS(p, q) (MIXED(p, q, 0, 4, 2, 6) + MIXED(p, q, 1, 5, 3, 7))
   const four a = PAIRS(ax, ay), b = PAIRS(bx, by), c = PAIRS(cx, cy);
   const two fa = {a[0] + a[2], a[1] + a[3]}, fb = {b[0] + b[2], b[1] + b[3]}, fc = {c[0] + c[2], c[1] + c[3]};
-#define TO(i) (*(two *)(f + (i)))
+#define TO_IN(p, i) (*(two *)((p) + (i)))
+#define TO(i) TO_IN(f, i)
   TO(i) += (fa + fb) - fc;
   TO(j) -= (fa - fb) - fc;
   TO(k) -= (fa + fb) + fc;
@@ -171,37 +172,49 @@ FOR_MACHINES void fracflow_start(int32_t n, double half, double step, const doub
   }
 }
 
-/* Sums of m v v, m a a and s u, and the largest |m a| and |u|, with m of each unknown. */
+typedef long long pair __attribute__((vector_size(16)));
+typedef struct {
+  two moving, pushed, work, largest, farthest;
+} sums;
+
+INLINE two larger(two one, two other) {
+  const pair is_one = one > other;
+  return (two)((is_one & (pair)one) | (~is_one & (pair)other));
+}
+
+/* Of a node, added to sums of m v v, m a a and s u, and to the largest |m a| and |u|. */
+INLINE void add(sums *all, two mass, two s, two u, two v, two a) {
+  const two force = mass * a;
+  all->moving += mass * v * v, all->pushed += force * a, all->work += s * u;
+  all->largest = larger(all->largest, larger(force, -force)), all->farthest = larger(all->farthest, larger(u, -u));
+}
+
+INLINE void told(const sums *all, double *found) {
+  found[0] = all->moving[0] + all->moving[1], found[1] = all->pushed[0] + all->pushed[1], found[2] = all->work[0] + all->work[1];
+  const two l = all->largest, u = all->farthest;
+  found[3] = l[0] > l[1] ? l[0] : l[1], found[4] = u[0] > u[1] ? u[0] : u[1];
+}
+
+/* Those sums, with m of each unknown. */
 FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
-                                double *sums) {
-  double moving = 0.0, pushed = 0.0, work = 0.0, largest = 0.0, farthest = 0.0;
-  for (int64_t i = 0; i < 2 * (int64_t)n; i++) {
-    const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
-    moving += mass[i] * v[i] * v[i];
-    pushed += force * a[i];
-    work += s[i] * u[i];
-    largest = size > largest ? size : largest;
-    farthest = far > farthest ? far : farthest;
-  }
-  sums[0] = moving, sums[1] = pushed, sums[2] = work, sums[3] = largest, sums[4] = farthest;
+                                double *found) {
+  sums all = {{0.0}};
+  for (int64_t i = 0; i < 2 * (int64_t)n; i += 2) add(&all, AT(mass, i), AT(s, i), AT(u, i), AT(v, i), AT(a, i));
+  told(&all, found);
 }
 
 /* a = f/m where forces alone move a node; those sums; and u, v, a of each node to its place in another order. */
-FOR_MACHINES void fracflow_stop(int32_t n, const int32_t *place, const double *inverse, const double *f, const double *mass, const double *s,
-                                const double *u, const double *v, double *a, double *to_u, double *to_v, double *to_a, double *sums) {
-  double found[5] = {0.0, 0.0, 0.0, 0.0, 0.0};
-  for (int64_t k = 0; k < n; k++)
-    for (int64_t i = 2 * k, j = 2 * (int64_t)place[k]; i < 2 * k + 2; i++, j++) {
-      if (inverse[k] > 0.0) a[i] = inverse[k] * f[i];
-      const double force = mass[i] * a[i], size = force < 0.0 ? -force : force, far = u[i] < 0.0 ? -u[i] : u[i];
-      found[0] += mass[i] * v[i] * v[i];
-      found[1] += force * a[i];
-      found[2] += s[i] * u[i];
-      found[3] = size > found[3] ? size : found[3];
-      found[4] = far > found[4] ? far : found[4];
-      to_u[j] = u[i], to_v[j] = v[i], to_a[j] = a[i];
-    }
-  memcpy(sums, found, sizeof found);
+FOR_MACHINES void fracflow_stop(int32_t n, const int32_t *place, const double *inverse, const double *f, const double *mass,
+                                const double *s, const double *u, const double *v, double *a, double *to_u, double *to_v,
+                                double *to_a, double *found) {
+  sums all = {{0.0}};
+  for (int64_t k = 0; k < n; k++) {
+    const int64_t i = 2 * k, j = 2 * (int64_t)place[k];
+    if (inverse[k] > 0.0) TO_IN(a, i) = inverse[k] * AT(f, i);
+    add(&all, AT(mass, i), AT(s, i), AT(u, i), AT(v, i), AT(a, i));
+    TO_IN(to_u, j) = AT(u, i), TO_IN(to_v, j) = AT(v, i), TO_IN(to_a, j) = AT(a, i);
+  }
+  told(&all, found);
 }
 
 /* Nodes of one order (n,) from places of another: there = here[place]. */

@@ -22,7 +22,6 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitModel
 from fracflow.solve.leapfrog.joints import JointSolver, Solved
-from fracflow.solve.leapfrog.local import by_blocks
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.leapfrog.rock import Sums
 from fracflow.solve.leapfrog.section_work import taken_over
@@ -136,8 +135,9 @@ class Run:
             for name, each in nodes.damping.items()
         }
         self.powers = dict(forces.powers)
-        self.a, self.held_at = rock.a[nodes.places], rock.u[nodes.places[nodes.at_held]]
-        self.own_speed = rock.v[nodes.places[nodes.at_own]]
+        self.a, self.own_a = rock.a[nodes.places_pushed], rock.a[nodes.places_own]
+        self.held_at = rock.u[nodes.places[nodes.at_held]]
+        self.own_speed = rock.v[nodes.places_own]
         self.balance = BalanceSums(0.0, 0.0, {}, {}, np.zeros(5))
         rock.start(dt)
 
@@ -176,8 +176,8 @@ class Run:
         apart = nodes.is_held | nodes.on_body
         pushed -= float(nodes.mass[nodes.every[apart]] @ rock.a[nodes.places[apart]] ** 2)
         if len(nodes.bodies):
-            speed = rock.v[nodes.places[nodes.at_own]]
-            moving += float(speed @ (nodes.inertia(speed) - nodes.mass[nodes.own] * speed))
+            speed = rock.v[nodes.places_own]
+            moving += float(speed @ (nodes.inertia.times(speed) - nodes.mass[nodes.own] * speed))
         constant = float(self.constant[self.loaded] @ rock.u[self.loaded])
         ops = nodes.operators
         largest = Largest(displacement, inertia) if ops.expand is None and ops.inward is None else None
@@ -187,13 +187,13 @@ class Run:
         """Motion of all nodes in a step without what joints change in it. Collective."""
         nodes, dt = self.nodes, self.dt
         self.v = self.rock.v[nodes.places]
-        self.added = np.zeros(len(self.v))  # to displacements, beside dt v
-        self.pushed = np.zeros(len(self.v))  # change of the forces of loads and joints
+        self.pushed = np.zeros(len(nodes.pushed))  # change of the forces of loads and joints
         load = self.beside + nodes.changing.changing(time, controls, around)
-        self.pushed[nodes.at_loads] += load - self.load
+        self.pushed[nodes.by_loads] += load - self.load
         self.old_load, self.load = self.load, load
-        self.added += joint_share(dt) * nodes.accelerated(self.pushed)
-        self.moved = dt * self.v + self.added
+        self.added = joint_share(dt) * nodes.accelerated(self.pushed)  # to displacements, beside dt v
+        self.moved = dt * self.v
+        self.moved[nodes.pushed] += self.added
         if len(nodes.held):
             self.old_held_at, self.held_at = self.held_at, nodes.prescribed(lambda part: part.value(time, AT_ONCE))
             self.moved[nodes.at_held] = self.held_at - self.old_held_at
@@ -215,17 +215,12 @@ class Run:
             total[:, -1] -= pressed
         force = nodes.jump.transposed((nodes.operators.joints.weights[:, None] * (self.total - total)).ravel())
         self.total = total
-        self.pushed[nodes.at_jump] += force
-        if len(nodes.bodies):
-            whole = np.zeros(len(self.pushed))
-            whole[nodes.at_jump] = force
-            more = joint_share(self.dt) * nodes.accelerated(whole)
-            self.added += more
-            self.moved += more
-        else:
-            more = joint_share(self.dt) * nodes.inverse[nodes.at_jump] * force
-            self.added[nodes.at_jump] += more
-            self.moved[nodes.at_jump] += more
+        by_joints = np.zeros(len(self.pushed))
+        by_joints[nodes.by_joints] = force
+        more = joint_share(self.dt) * nodes.accelerated(by_joints)
+        self.pushed += by_joints
+        self.added += more
+        self.moved[nodes.pushed] += more
         moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
         weights = nodes.operators.joints.weights
         self.sections, self.friction, work = taken_over(weights, before, found, moved, self.friction)
@@ -235,7 +230,7 @@ class Run:
         """Forces at the end of a step, and the motion of all nodes on to the middle of the next. Collective."""
         nodes, rock, dt, places = self.nodes, self.rock, self.dt, self.nodes.places
         joints = nodes.operators.joints
-        rock.u[places] += self.added
+        rock.u[nodes.places_pushed] += self.added
         rock.u[places[nodes.at_held]] = self.held_at
         force = self.base.copy()
         force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
@@ -247,15 +242,15 @@ class Run:
         for name, matrix in nodes.springs.items():
             at = nodes.at_springs[name]
             force[at] -= matrix.times(rock.u[places[at]])
-        rock.e[places] = force
-        own = places[nodes.at_own]
+        rock.e[nodes.places_forced] = force[nodes.forced]
+        own = nodes.places_own
         u, v = rock.u[own], self.v[nodes.at_own]
         kick, drift = (0.5 * dt, 0.0) if is_last else (dt, dt)
         rock.step(kick, drift)
-        a, old_a = nodes.inverse * rock.f[places], self.a
+        a, old_a = nodes.inverse * rock.f[nodes.places_pushed], self.a
         at_own, resisting = self._own_nodes(rock.f[own], v, time, around)
-        a[nodes.at_own] = at_own
-        self.a = a
+        a[nodes.pushed_own] = at_own[nodes.own_pushed]
+        self.a, self.own_a = a, at_own
         held_speed = self.own_speed[nodes.held_of_own]
         v = v + kick * at_own
         if not is_last:
@@ -265,7 +260,7 @@ class Run:
             v[nodes.held_of_own] = held_speed
             rock.a[own] = at_own
         rock.v[own] = v
-        balance, at = self.balance, nodes.at_pushed
+        balance, at = self.balance, nodes.free
         balance.scheme += scheme_work(dt, float(self.pushed[at] @ (old_a[at] + a[at])))
         balance.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
         for name, each in self.damped.items():
@@ -288,21 +283,20 @@ class Run:
         resists = np.zeros(len(v))
         dashpots = nodes.dashpots.items()
         for name, blocks in dashpots:
-            resists += by_blocks(nodes.groups, blocks, v)
+            resists += blocks.times(v)
             if name in incoming:
                 resists -= incoming[name]
-        groups = nodes.groups
-        a = by_blocks(groups, nodes.inverse_with_dashpots(dt), force - resists)
+        a = nodes.inverse_with_dashpots(dt).times(force - resists)
         speed = v + 0.5 * dt * a
         held, at = nodes.held_of_own, nodes.at_held
-        old_speed, old_a = self.own_speed, self.a[nodes.at_own]
+        old_speed, old_a = self.own_speed, self.own_a
         if len(held):
             a[held] = nodes.prescribed(lambda part: part.acceleration(time, around))
             speed[held] = nodes.prescribed(lambda part: part.speed(time, around))
         self.own_speed = speed
-        found = {name: by_blocks(groups, blocks, speed) - incoming.get(name, 0.0) for name, blocks in dashpots}
+        found = {name: blocks.times(speed) - incoming.get(name, 0.0) for name, blocks in dashpots}
         if len(held) or len(nodes.bodies):
-            of_end, both, gain = (nodes.inertia(each) for each in (a, old_a + a, speed - old_speed))
+            of_end, both, gain = (nodes.inertia.times(each) for each in (a, old_a + a, speed - old_speed))
             gained = 0.5 * (old_speed + speed) * gain
         if len(held):
             support = of_end[held] - force[held]
