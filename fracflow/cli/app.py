@@ -206,27 +206,21 @@ def check(
 
 
 @app.command("mesh")
-def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
-    """Mesh and split only, with a summary."""
-    from fracflow.cli.answer import size_line
-    from fracflow.diagnostics.well_parts import unconnected_wells
-    from fracflow.mesh.split import summary
-    from fracflow.model.setup import place
-    from fracflow.reduction.prepare import read_split
+def mesh_command(
+    scene: SceneFile,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="keep it, split, as NAME.h5, which [mesh] file reads")
+    ] = None,
+    set_: Overrides = None,
+    trust: Trust = False,
+) -> None:
+    """Mesh and split only, with a summary; the mesh may be kept for runs where there is no Gmsh."""
+    from fracflow.cli.mesh import mesh_lines
     from fracflow.scene.scene import load
 
     keep_imports()
-    given = load(scene, set_ or [], trust)
-    split = read_split(given)
-    for line in split.notes:
-        typer.echo(marked(line))
-    try:
-        for line in unconnected_wells(given, split, place(given, split).wells):
-            typer.echo(marked(line))
-    except InputError as error:  # wells may be placed later
-        typer.echo(marked(str(error)))
-    for key, value in summary(split).items():
-        typer.echo(size_line(key, value))
+    for line in mesh_lines(load(scene, set_ or [], trust), output):
+        typer.echo(line)
 
 
 @app.command()

@@ -28,6 +28,7 @@ from fracflow.mesh.plane.unmeshed import cut, with_walls
 from fracflow.remarks import note
 from fracflow.storage.files import check_regular, read_bytes
 
+SPLIT = ".h5"  # of a mesh that is split already, see ``mesh.store``
 SUFFIXES = (".geo", ".msh", *FORMATS)
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
@@ -79,9 +80,8 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise InputError(
-            f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh, or {", ".join(FORMATS)}'
-        )
+        known = f"give a Gmsh .geo or .msh, {', '.join(FORMATS)}, or the {SPLIT} of fracflow mesh"
+        raise InputError(f'{path}: unknown kind of file "{path.suffix}"; {known}')
     check_regular(path, "mesh.file names it from the scene's folder", LARGEST)
     notes: tuple[str, ...] = ()
     if path.suffix == ".msh":

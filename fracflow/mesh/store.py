@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.mesh.cut_mesh import near_mesh
-from fracflow.mesh.data import SplitMesh
+from fracflow.mesh.data import SplitMesh, is_unmeshed
 from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, SealedFile, read_sealed, write_sealed
@@ -39,18 +39,44 @@ def load_mesh(path: Path, root: str = "") -> SplitMesh:
 
     Raises InputError where there is none.
     """
-    found = read_sealed(path, _NO_MESH, ours=root)
+    return near_mesh(_read(path, AGAIN, root))
+
+
+def load_split(path: Path) -> SplitMesh:
+    """Read a split mesh for another scene, as it is before its cells are cut: that of ``fracflow mesh``, or of a run.
+
+    Raises InputError also where wells of its scene have made several ends of fractures one flow node.
+    """
+    remedy = "write one with: fracflow mesh SCENE -o NAME.h5"
+    mesh = _read(path, remedy)
+    if is_unmeshed(mesh.cells) or mesh.points.shape[1] != 2:
+        raise InputError(f"{path}: is no mesh of plane rock; {remedy}")
+    if len(mesh.flow_origin) < len(np.unique(mesh.origin[mesh.joint_bottom])):
+        raise InputError(f"{path}: a well has joined ends of fractures in it; {remedy}")
+    return replace(mesh, cuts=0, near=-1)
+
+
+def _read(path: Path, remedy: str, root: str = "") -> SplitMesh:
+    found = read_sealed(path, _NO_MESH, remedy=remedy, ours=root)
     try:
         mesh = SplitMesh(**{name: _part(found.arrays, found.notes, name) for name in _PARTS})
         _check(mesh)
     except (KeyError, ValueError) as error:
-        raise InputError(f"{path}: {_NO_MESH} ({error}); {AGAIN}") from None
-    return near_mesh(mesh)
+        raise InputError(f"{path}: {_NO_MESH} ({error}); {remedy}") from None
+    return mesh
 
 
 def mesh_root(path: Path) -> str:
     """The root of a mesh's seal, empty where it has none. Raises InputError as ``load_mesh`` does."""
     return read_sealed(path, _NO_MESH, names=()).root
+
+
+def is_saved_mesh(path: Path) -> bool:
+    """Whether a file is a saved mesh, of which no values are read."""
+    try:
+        return {"cells", "joint_bottom", "flow_origin"} <= SealedFile(path, _NO_MESH).layout.keys()
+    except InputError:
+        return False
 
 
 def has_cells(path: Path) -> bool:

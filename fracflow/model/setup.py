@@ -29,8 +29,9 @@ from fracflow.mesh.locate import (
 )
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, build_unmeshed, read_mesh
+from fracflow.mesh.read import GROWTH, SPLIT, GeometrySpec, build_mesh, build_unmeshed, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
+from fracflow.mesh.store import load_split
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.dirichlet import meeting_supports, overruled_rates, refuse_two_pressures
 from fracflow.model.loads import Loads, assemble_loads
@@ -162,21 +163,32 @@ def naming(scene: Scene) -> Iterator[None]:
         raise InputError(text if scene.source in text else f"{scene.source}: {text}") from None
 
 
-def read_sized(scene: Scene) -> SplitMesh:
-    """Read or build the mesh of a scene whose sizes are known, and split it; where it is to be cut, its near cells are.
-
-    Raises InputError.
-    """
+def split_of(scene: Scene) -> SplitMesh:
+    """Read or build the mesh of a scene whose sizes are known, and split it; no cell is cut yet. Raises InputError."""
     if scene.is_unbounded:
-        mesh = build_unmeshed(geometry_of(scene), scene.refine)
-        scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, ())
-        return mesh
-    if scene.mesh_path is not None:
-        raw = read_mesh(scene.mesh_path, scene.fracture, scene.trust, scene.folder)
-    else:
-        raw = build_mesh(geometry_of(scene))
-    mesh = replace(split(raw), cuts=scene.refine)
+        return build_unmeshed(geometry_of(scene), scene.refine)
+    path = scene.mesh_path
+    if path is None:
+        return split(build_mesh(geometry_of(scene)))
+    return (
+        load_split(path) if path.suffix == SPLIT else split(read_mesh(path, scene.fracture, scene.trust, scene.folder))
+    )
+
+
+def read_sized(scene: Scene) -> SplitMesh:
+    """The mesh of ``split_of`` for a run; where it is to be cut, its near cells are. Raises InputError."""
+    return made_ready(scene, split_of(scene))
+
+
+def made_ready(scene: Scene, mesh: SplitMesh) -> SplitMesh:
+    """The mesh of ``split_of`` as wells join ends of fractures in it, and its near cells, cut, where it is to be cut.
+
+    Raises InputError where it lacks a name of the scene.
+    """
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
+    if scene.is_unbounded:
+        return mesh
+    mesh = replace(mesh, cuts=scene.refine)
     joined: dict[int, str] = {}
     for well in scene.well if scene.has_flow else ():
         if well.on is not None and well.flow_rate is not None:

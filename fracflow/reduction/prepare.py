@@ -11,7 +11,7 @@ from fracflow.diagnostics.well_parts import unconnected_wells
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.setup import Model, fitting, naming, on_root, place, read_sized, set_up
+from fracflow.model.setup import Model, fitting, made_ready, naming, on_root, place, read_sized, set_up, split_of
 from fracflow.reduction.far_sides import assessed, is_left_out, near_sides, without_sides
 from fracflow.reduction.mesh_size import proposed
 from fracflow.reduction.unresolved import unresolved
@@ -21,13 +21,25 @@ from fracflow.solve.options import set_defaults
 NONE: Mapping[str, str] = MappingProxyType({})
 
 
-def read_split(scene: Scene) -> SplitMesh:
-    """Read or build the mesh, of sizes that fit the scene where it states none, split it and cut all of its cells.
+def read_uncut(scene: Scene) -> tuple[Scene, SplitMesh]:
+    """The scene with sizes of a mesh that fit it where it states none, and that mesh, split, before its cells are cut.
 
     Raises InputError.
     """
     with naming(scene):
-        return whole_mesh(read_sized(scene.with_geometry(_open_sizes(scene)[0])))
+        sized = scene.with_geometry(_open_sizes(scene)[0])
+        return sized, split_of(sized)
+
+
+def read_split(scene: Scene) -> SplitMesh:
+    """The mesh of ``read_uncut`` with all of its cells cut, and ends of fractures joined by wells. Raises InputError."""
+    return cut_for(*read_uncut(scene))
+
+
+def cut_for(scene: Scene, mesh: SplitMesh) -> SplitMesh:
+    """The same of a mesh that ``read_uncut`` has read for a scene. Raises InputError."""
+    with naming(scene):
+        return whole_mesh(made_ready(scene, mesh))
 
 
 def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:

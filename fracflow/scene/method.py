@@ -266,7 +266,7 @@ class Mesh(Table):
 
     file: FileName
     """.geo or .msh file of Gmsh, or a mesh of another program: .inp (Abaqus), .vtu, .e or .exo (Exodus), .xdmf with its
-    .h5 beside it; relative to the scene"""
+    .h5 beside it; or a split mesh, the .h5 of fracflow mesh; relative to the scene"""
     refine: Refine = Field(default=0, description=REFINED)
 
 

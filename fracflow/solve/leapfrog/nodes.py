@@ -43,10 +43,11 @@ class Nodes:
     no_support  zeros, where no rank holds an unknown; else None. PETSc keeps their norm
     groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
     mass    (n,) diagonal, of all local unknowns
-    pushed  places in ``every`` of unknowns that changing loads or joints push, and of rigid bodies; those places in ``pushed``:
-            ``free`` of what is neither held nor on a body, ``by_loads`` and ``by_joints``, ``bodies`` (b, r),
-            ``pushed_own`` of those in ``own``, which are ``own_pushed`` there
-    inverse  (p,) of their masses, 0 where held and on bodies, whose inverse masses (b, r, r) are 0 where held
+    pushed  places in ``every`` of unknowns that changing loads or joints push, and of rigid bodies
+    free    places in ``pushed`` of what is neither held nor on a body; ``by_loads`` and ``by_joints`` of what those push
+    bodies  (b, r) places in ``pushed`` of rigid bodies; their inverse masses (b, r, r), 0 where held
+    pushed_own  places in ``pushed`` of those in ``own``, which are ``own_pushed`` there
+    inverse  (p,) of the masses of ``pushed``, 0 where held and on bodies
     forced  places in ``every`` where outer forces change: of loads, joints, damping and springs
     """
 
