@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from figures_verification.case import measure
-from figures_verification.cases import CASES
+from figures_verification.cases import CASES, r08
 
 ON_RANKS = (
     "R01 inclined joint, 0.9",
@@ -36,3 +37,10 @@ def test_bars_are_no_looser_than_what_is_asked_unless_the_table_says_so():
     rows = Path(__file__, "../../../scripts/README.md").resolve().read_text().splitlines()
     told = {row.split("|")[1].strip() for row in rows if row.endswith("| not reached |")}
     assert {name for name, bar in bars if bar.most > bar.asked} == told
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("stress", r08.LOADS)
+def test_the_front_of_the_exact_slip_is_where_it_is(stress):
+    x = np.arange(0.0, 1.0, 0.02)
+    assert r08.front(x, r08.slip(x, stress)) == pytest.approx(1.0, abs=1.5e-4)
