@@ -43,4 +43,4 @@ def test_bars_are_no_looser_than_what_is_asked_unless_the_table_says_so():
 @pytest.mark.parametrize("stress", r08.LOADS)
 def test_the_front_of_the_exact_slip_is_where_it_is(stress):
     x = np.arange(0.0, 1.0, 0.02)
-    assert r08.front(x, r08.slip(x, stress)) == pytest.approx(1.0, abs=1.5e-4)
+    assert r08.front(x, r08.slip(x, stress)) == pytest.approx(1.0, abs=2e-4)

@@ -111,7 +111,7 @@ def errors_of(found: Found, stress: float) -> tuple[float, ...]:
 
 
 def front(x: Floats, slid: Floats) -> float:
-    """Where slip^(2/3) would vanish, by a cubic, whose front of the exact slip is off by 1.5e-4; a parabola's is by 1e-3."""
+    """Where slip^(2/3) would vanish, by a cubic, whose front of the exact slip is off by 2e-4; a parabola's is by 1e-3."""
     last = (slid > 0) & (x > 0.6 * x[slid > 0].max())
     return float(np.polyfit(slid[last] ** (2 / 3), x[last], min(3, len(np.unique(x[last])) - 1))[-1])
 
