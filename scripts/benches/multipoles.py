@@ -4,22 +4,26 @@ Random fractures of 50 joints, which cross, in stress that makes some slide: a p
 away. Each size runs in a process of its own, by series of far walls and, up to ``--dense`` joints, with all entries. It prints
 CPU seconds to set up and of a step, iterations, memory of the fullest rank, and slip where both ways or ranks differ.
 Exit code 1 where a bar is missed: slips of both ways equal to 1e-6, those of ranks to 1e-10, energies closed to 1e-10.
+With --out DIR the numbers are in DIR/multipoles.json, and drawn over the joints in DIR/multipoles.png.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from sheets import Check
+from sheets import BLUE, GREEN, ORANGE, STYLE, Check, save, sheet
 
 LENGTH = 50.0  # joints of 1 m along a fracture
 APART = 0.6  # side of a square for one fracture, over its length
@@ -113,7 +117,8 @@ def main() -> int:
     parser.add_argument("--dense", type=int, default=2000, help="most joints that are run with all entries too")
     parser.add_argument("--ranks", type=int, nargs="*", default=[], help="run each size on so many ranks too")
     parser.add_argument("--steps", type=int, default=4)
-    given, checks = parser.parse_args(), []
+    parser.add_argument("--out", type=Path, help="folder of multipoles.json and multipoles.png")
+    given, checks, rows = parser.parse_args(), [], []
     print(
         "joints, way, ranks: CPU s to set up, of a step; Newton, Krylov, factorisations; GB; sections that slide",
         flush=True,
@@ -132,11 +137,48 @@ def main() -> int:
                     f" {found['sliding']}; energies {found['open']:.1e}, slips apart {apart:.1e}",
                     flush=True,
                 )
+                kept = {key: value for key, value in found.items() if key != "slip"} | {"way": way, "apart": apart}
+                rows.append(kept | {"step": found["steps"] / given.steps})
                 bar = WAYS_EQUAL if way == "direct" else RANKS_EQUAL
                 name = f"{found['joints']} joints, {way} on {ranks}"
                 checks.append(Check(f"{name}, slips apart", apart, f"<= {bar:g}", apart <= bar))
                 checks.append(Check(f"{name}, open energies", found["open"], f"<= {CLOSED:g}", found["open"] <= CLOSED))
+    if given.out is not None:
+        given.out.mkdir(parents=True, exist_ok=True)
+        (given.out / "multipoles.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        words = [*map(str, given.joints), "--dense", str(given.dense), "--steps", str(given.steps)]
+        words += ["--ranks", *map(str, given.ranks)] if given.ranks else []
+        draw(rows, given.out, shlex.join(["scripts/bench", "multipoles", *words]))
     return 0 if all(each.ok for each in checks) else 1
+
+
+def draw(rows: Sequence[dict[str, Any]], folder: Path, command: str) -> None:
+    """CPU seconds and memory over the joints, of each way and number of ranks, with the command that made them."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = sheet(
+            "Rock that is not meshed: cost over the number of joints",
+            "Random fractures that cross and slide. Memory and a step grow as the joints; setting up a little faster.",
+            [["cpu", "memory"]],
+            (8.2, 3.6),
+        )
+        kinds = dict.fromkeys((row["way"], row["ranks"]) for row in rows)
+        for (way, ranks), mark in zip(kinds, "os^vD", strict=False):
+            here = [row for row in rows if (row["way"], row["ranks"]) == (way, ranks)]
+            joints, of = [row["joints"] for row in here], "all entries" if way == "direct" else way
+            who = f"{of}, {ranks} rank{'s' * (ranks > 1)}"
+            for name, key, colour in (("set-up", "set up", BLUE), ("a step", "step", ORANGE)):
+                label = f"{name}, {who}"
+                axes["cpu"].loglog(joints, [row[key] for row in here], mark + "-", color=colour, label=label)
+            axes["memory"].loglog(joints, [row["memory"] for row in here], mark + "-", color=GREEN, label=who)
+        all_joints = np.array(sorted({row["joints"] for row in rows}), dtype=float)
+        for name, key in (("cpu", "step"), ("memory", "memory")):
+            first = next(row[key] for row in rows if row["joints"] == all_joints[0])
+            axes[name].loglog(all_joints, first * all_joints / all_joints[0], ":", color="0.6", label="as the joints")
+        axes["cpu"].set(xlabel="joints", title="CPU seconds of all ranks")
+        axes["memory"].set(xlabel="joints", title="GB of the fullest rank")
+        for axis in axes.values():
+            axis.legend(fontsize=7.5, loc="upper left")
+        save(figure, folder, "multipoles", command)
 
 
 if __name__ == "__main__":
