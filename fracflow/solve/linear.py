@@ -248,6 +248,7 @@ KRYLOV_ERROR = 1e-5  # of the right side: what is left there costs Newton's meth
 MOST_BY_NEAR = 100  # iterations between restarts, with factors of near entries
 WORTH_BY_NEAR = 10  # of them in the time of a factorisation
 LONGEST_PAUSE = 32  # changes of the matrix
+LONGEST = 2 * MOST_BY_NEAR  # iterations of a solve with factors of near entries
 
 
 class NewFactors:
@@ -351,8 +352,8 @@ class KeptFactors:
 class NearFactors:
     """LU of the entries that the matrix has, which preconditions GMRES on all of it.
 
-    Far walls are left out of the entries, and feel long waves of slip alone. A step begins with factors of its own. These are
-    made anew where joints have changed so much that a factorisation costs less than more iterations.
+    Far walls are left out of the entries, and feel long waves of slip alone. A step begins with factors of its own. New ones
+    are made where a solve takes so many more iterations than the quickest one with new factors that a factorisation costs less.
 
     GMRES is preconditioned from the left. Its residual is about the error of the solution, since the product of both matrices
     is near 1. That of the balances would not do: where no pressure drains a part, the rate pumped into it is 1e-11 of the
@@ -369,12 +370,12 @@ class NearFactors:
         solver.setPCSide(PETSc.PC.Side.LEFT)
         solver.setNormType(PETSc.KSP.NormType.PRECONDITIONED)
         solver.setGMRESRestart(MOST_BY_NEAR)
-        solver.setTolerances(rtol=KRYLOV_ERROR, max_it=2 * MOST_BY_NEAR)
+        solver.setTolerances(rtol=KRYLOV_ERROR, max_it=LONGEST)
         solver.setConvergenceTest(KrylovTest())
 
     def begin(self) -> None:
         """A step begins: factors of the step before are dropped."""
-        self._usual, self._is_worn = 0, True
+        self._least, self._is_fresh, self._is_worn = LONGEST, False, True
 
     def changed(self, must: bool = False) -> None:
         """Take notice of a matrix that was filled. Collective."""
@@ -384,7 +385,7 @@ class NearFactors:
     def renew(self) -> None:
         """Factors of the present matrix. Collective."""
         self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.made, self._fills, self._is_worn, self._usual = self.made + 1, self.matrix.fills, False, 0
+        self.made, self._fills, self._is_worn, self._is_fresh = self.made + 1, self.matrix.fills, False, True
 
     def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
         """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""
@@ -393,8 +394,9 @@ class NearFactors:
             self.renew()
             self.solver.solve(given, step)
             taken += int(self.solver.getIterationNumber())
-        self._usual = self._usual or taken
-        self._is_worn = taken > self._usual + WORTH_BY_NEAR
+        if self._is_fresh:
+            self._least, self._is_fresh = min(self._least, taken), False
+        self._is_worn = taken > self._least + WORTH_BY_NEAR
         return taken
 
     def destroy(self) -> None:
