@@ -157,7 +157,7 @@ def draw(rows: Sequence[dict[str, Any]], folder: Path, command: str) -> None:
     with matplotlib.rc_context(STYLE):
         figure, axes = sheet(
             "Rock that is not meshed: cost over the number of joints",
-            "Random fractures that cross and slide. Memory and a step grow as the joints; setting up a little faster.",
+            "Random fractures that cross and slide. Dotted: in proportion to the joints.",
             [["cpu", "memory"]],
             (8.2, 3.6),
         )
