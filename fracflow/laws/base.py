@@ -193,6 +193,10 @@ class JointLaw(Protocol):
         """
         return np.zeros(len(traction))
 
+    def most_steepness(self, compression: float) -> float:
+        """No ``steepness`` is larger where no section has a larger ``compression`` [stress]."""
+        return 0.0
+
     def softening(self, traction: Floats, history: History) -> Floats:
         """How fast the strength (n,) falls with slip after ``history`` at tractions (n, dim) [stress/length]."""
         return np.zeros(len(traction))

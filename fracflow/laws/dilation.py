@@ -190,6 +190,10 @@ class Dilatant(JointLaw):
         """That of the law of friction (n,): of the strength at a constant normal traction."""
         return self.law.steepness(traction, history)
 
+    def most_steepness(self, compression: float) -> float:
+        """That of the law of friction."""
+        return self.law.most_steepness(compression)
+
     def softening(self, traction: Floats, history: History) -> Floats:
         """That of the law of friction (n,): of the strength at a constant normal traction."""
         return self.law.softening(traction, history)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -116,6 +117,15 @@ class SlipWeakening(FrictionLaw):
     def steepness(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
         return self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
+
+    def most_steepness(self, compression: float) -> float:
+        """Largest (mu_p - mu_d)/(D_c k_s) of all sections, times the ``compression`` [stress]."""
+        return compression * self._steepest
+
+    @cached_property
+    def _steepest(self) -> float:
+        drop = np.subtract(self.friction_coefficient, self.dynamic_friction_coefficient)
+        return float(np.max(drop / np.multiply(self.slip_weakening_distance, self.shear_stiffness), initial=0.0))
 
     def softening(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""

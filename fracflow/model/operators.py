@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints
 from fracflow.model.layout import Layout, layout_of
@@ -78,6 +79,13 @@ class Operators:
         """The network of a scene that has one."""
         assert self.flow is not None
         return self.flow
+
+    @cached_property
+    def sections_by_fracture(self) -> tuple[Ints, Ints, Ints]:
+        """This rank's sections (s,) in the order of fractures, fractures (f,) that have any, and their first places there."""
+        fracture = np.repeat(self.blocks.joints.fracture, self.joints.points)
+        order = np.argsort(fracture, kind="stable")
+        return order, *np.unique(fracture[order], return_index=True)
 
     def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
         """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""

@@ -24,11 +24,14 @@ def steepest(
 ) -> tuple[float, str, str]:
     """Largest fall of strength with slip over shear stiffness, of the chosen sections, its fracture and key. Collective.
 
-    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls. On several ranks
-    neither is named where the largest is below ``least``.
+    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls. Where the largest is
+    below ``least`` it may be 0, and none is named.
     """
     worst = (0.0, "", "")
+    compression = -float(traction[:, -1].min(initial=0.0))
     for group, history in zip(joints.laws, past, strict=True):
+        if group.law.most_steepness(compression) < least:  # mostly: it spares a step a pass over its sections
+            continue
         falls = group.law.steepness(traction[group.sections], history)
         if chosen is not None:
             falls = np.where(chosen[group.sections], falls, 0.0)

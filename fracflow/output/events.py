@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from time import process_time as time_of_process
 from typing import Any
 
@@ -64,7 +65,7 @@ class _Running:
     peak_rate: Floats
 
 
-SHARE = 100.0  # of the CPU time that writing the file takes, once that was ``LONG`` in all, lie between two such times
+SHARE = 100.0  # times the CPU that writing the file took lie between two such times, once that was ``LONG`` in all
 LONG = 0.01  # [s]
 
 
@@ -128,7 +129,7 @@ class EventLog:
         self._plastic_slip = plastic_slip
         changed = changed or bool(starts)
         self._is_behind = self._is_behind or changed
-        if self._is_behind and time_of_process() - self._written >= self._rest:
+        if self._is_behind and monotonic() - self._written >= self._rest:
             self._write()
         return changed
 
@@ -209,8 +210,8 @@ class EventLog:
                 self._lines[number] = text.getvalue()[begin:]
         table.writerows(besides)
         write_atomic(self.path, text.getvalue())
-        self._written, self._is_behind = time_of_process(), False
-        spent = self._written - began
+        self._written, self._is_behind = monotonic(), False
+        spent = time_of_process() - began
         self._spent += spent
         self._rest = SHARE * spent if self._spent > LONG else 0.0
 

@@ -127,15 +127,13 @@ def significant_digits(operators: Operators, state: State, known: Largest | None
     sections = state.sections
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
     count = len(blocks.joints.fractures)
-    fracture = np.repeat(blocks.joints.fracture, joints.points)
     error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
     beside = operators.scales.stiffness / (joints.points * joints.weights)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
     is_closed = stiff > 0.0
     table = np.zeros(5 * count + 2)
     largest, table[-2:] = table[:-2].reshape(5, count), _largest(operators, state) if known is None else known
-    order = np.argsort(fracture, kind="stable")
-    present, starts = np.unique(fracture[order], return_index=True)
+    order, present, starts = operators.sections_by_fracture
     values = np.array([error, UNIT_ROUND_OFF * beside * is_closed, sections.record, stiff, beside])[:, order]
     if len(present):
         largest[:, present] = np.maximum.reduceat(np.where(np.isfinite(values), values, 0.0), starts, axis=1)

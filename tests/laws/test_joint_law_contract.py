@@ -248,6 +248,8 @@ def test_softening_is_told(law, dim):
         moved = np.linalg.norm(more.inelastic - response.inelastic, axis=1)
         fall = np.linalg.norm(response.traction[:, :-1], axis=1) - np.linalg.norm(more.traction[:, :-1], axis=1)
         steep = law.steepness(response.traction, response.history)
+        pressed = float(np.maximum(-response.traction[:, -1], 0.0).max())
+        assert np.isinf(pressed) or steep.max() <= law.most_steepness(pressed) * (1.0 + 4e-16)
         same = steep == law.steepness(more.traction, more.history)  # not across the end of the weakening
         assert np.allclose(fall[on & same], (steep * moved * law.shear_stiffness)[on & same], rtol=1e-6, atol=1e-9)
         past = response.history
