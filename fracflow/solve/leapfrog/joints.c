@@ -70,10 +70,11 @@ static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
 
 typedef struct {
   const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
-  double status[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
+  double status[MOST_MEMBERS], next[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
 } cluster;
 
-/* What is left of the motion of a cluster, and its moduli times weights; -1 where crushed, 1 where it is no more than round-off. */
+/* What is left of the motion of a cluster while no section changes its status, and its moduli times weights. Tractions and next
+   statuses are those of the laws. -1 where crushed, 1 where no more is left than round-off. */
 static int balances(cluster *c, int members, const double *compliance, double share) {
   const int n = 2 * members;
   double push[MOST_SIZE], known[MOST_SIZE], moved = 0.0;
@@ -81,7 +82,9 @@ static int balances(cluster *c, int members, const double *compliance, double sh
     const double *before = c->before[m], weight = c->law[m][WEIGHT];
     const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
     response at;
-    if (!responds(c->law[m], before, strain, c->status[m], 1, &at)) return -1;
+    if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return -1;
+    c->next[m] = at.status, c->traction[2 * m] = at.traction[0], c->traction[2 * m + 1] = at.traction[1];
+    if (at.status != c->status[m]) responds(c->law[m], before, strain, c->status[m], 1, &at);
     for (int k = 0; k < 4; k++) c->moduli[4 * m + k] = weight * at.tangent[k];
     for (int i = 0; i < 2; i++) {
       const double *d = at.tangent + 2 * i;
@@ -136,14 +139,8 @@ static int settles(cluster *c, int members, const double *compliance, double sha
     }
     if (done != 1) return 0;
     int changes = 0;
-    for (int m = 0; m < members; m++) {
-      const double *before = c->before[m];
-      const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
-      response at;
-      if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return 0;
-      c->traction[2 * m] = at.traction[0], c->traction[2 * m + 1] = at.traction[1];
-      if (at.status != c->status[m]) changes = 1, c->status[m] = at.status;
-    }
+    for (int m = 0; m < members; m++)
+      if (c->next[m] != c->status[m]) changes = 1, c->status[m] = c->next[m];
     if (!changes) return total;
   }
   return 0;

@@ -25,8 +25,8 @@ class LocalMatrix:
     Values come and go as arrays.
     """
 
-    def __init__(self, matrix: PETSc.Mat, numbers: Ints, square: bool) -> None:
-        """Copy the part. Collective."""
+    def __init__(self, matrix: PETSc.Mat, numbers: Ints, square: bool, by_nodes: bool = False) -> None:
+        """Copy the part; ``by_nodes`` in blocks of two, where numbers come in pairs. Collective."""
         self.numbers = numbers
         start, stop = matrix.getOwnershipRange()
         comm, first = matrix.getComm(), matrix.getOwnershipRangeColumn()[0]
@@ -34,13 +34,15 @@ class LocalMatrix:
         rows = cols if square else PETSc.IS().createStride(stop - start, start, 1, comm=comm)
         self._matrix = matrix.createSubMatrix(rows, cols)
         destroy(*{id(each): each for each in (rows, cols)}.values())
+        if by_nodes:
+            self._matrix = in_blocks(self._matrix)
         self._x, self._y = self._matrix.createVecs()
 
-    def times(self, values: Floats) -> Floats:
-        """The product with values (n,). Collective."""
+    def times(self, values: Floats, by: float = 1.0) -> Floats:
+        """The product with values (n,), and with a number. Collective."""
         self._x.getArray()[:] = values
         self._matrix.mult(self._x, self._y)
-        return self._y.getArray().copy()
+        return by * self._y.getArray()
 
     def transposed(self, values: Floats) -> Floats:
         """The product (n,) of its transpose with values (m,) of the rows. Collective."""
@@ -51,6 +53,20 @@ class LocalMatrix:
     def destroy(self) -> None:
         """Free it. Collective."""
         destroy(self._matrix, self._x, self._y)
+
+
+def in_blocks(matrix: PETSc.Mat) -> PETSc.Mat:
+    """A matrix in blocks of two; the given one is freed. Collective."""
+    from scipy import sparse  # imports much
+
+    indptr, indices, values = matrix.getValuesCSR()
+    shape = (matrix.getLocalSize()[0], matrix.getSize()[1])
+    square = sparse.csr_matrix((values, indices, indptr), shape=shape).tobsr((2, 2))
+    square.sort_indices()
+    csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
+    found = PETSc.Mat().createBAIJ(matrix.getSizes(), 2, csr=csr, comm=matrix.getComm())
+    matrix.destroy()
+    return found
 
 
 def touched(matrix: PETSc.Mat) -> Ints:

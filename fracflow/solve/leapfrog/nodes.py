@@ -39,6 +39,8 @@ def is_plain(operators: Operators) -> bool:
 class Nodes:
     """Local numbers of unknowns, ``own`` and the like. Their places are in ``every``, which lists all.
 
+    Those come first whose outer forces change: of damping, then of loads, joints and springs. Damped ones lie side by side.
+
     own     those of nodes with supports or dashpots, and of rigid bodies, whose accelerations are found apart from the rest
     no_support  zeros, where no rank holds an unknown; else None. PETSc keeps their norm
     groups  places (c, m) in ``own`` of unknowns whose masses or dashpots are coupled, by their number
@@ -48,7 +50,6 @@ class Nodes:
     bodies  (b, r) places in ``pushed`` of rigid bodies; their inverse masses (b, r, r), 0 where held
     pushed_own  places in ``pushed`` of those in ``own``, which are ``own_pushed`` there
     inverse  (p,) of the masses of ``pushed``, 0 where held and on bodies
-    forced  places in ``every`` where outer forces change: of loads, joints, damping and springs
     """
 
     def __init__(self, operators: Operators, scene: Scene, loads: Loads, damping: dict[str, MeanDamping]) -> None:
@@ -83,7 +84,8 @@ class Nodes:
         self.jump = LocalMatrix(joints.jump, touched(joints.jump), square=False)
         self.sizes = LocalMatrix(joints.sizes, self.jump.numbers, square=False)
         self.damping = {
-            name: LocalMatrix(each.matrix, touched(each.matrix), square=True) for name, each in damping.items()
+            name: LocalMatrix(each.matrix, _of_nodes(touched(each.matrix), plain), square=True, by_nodes=plain)
+            for name, each in damping.items()
         }
         self.springs = {
             term.name: LocalMatrix(term.stiffness, touched(term.stiffness), square=True)
@@ -91,18 +93,19 @@ class Nodes:
             if term.stiffness is not None
         }
         self.changing = ChangingLoads(loads, operators.layout)
-        local = [self.jump, *self.damping.values(), *self.springs.values()]
-        numbers = [self.held, self.own, self.changing.numbers, *(each.numbers for each in local)]
-        self.every: Ints = np.unique(np.concatenate(numbers))
+        damped, sprung = ([each.numbers for each in those.values()] for those in (self.damping, self.springs))
+        forced = _and_others(
+            _and_others(np.zeros(0, np.int64), damped), [self.changing.numbers, self.jump.numbers, *sprung]
+        )
+        self.every: Ints = _and_others(forced, [self.held, self.own])
+        self._sorted = np.argsort(self.every)
         self.places: Ints = self.rock.places[self.every]
         self.is_held, self.on_body = is_held[self.every], self.on_body[self.every]
         self.at_held, self.at_own, self.at_jump = (self.find(each) for each in (self.held, self.own, self.jump.numbers))
         self.at_loads = self.find(self.changing.numbers)
-        self.at_damped = {name: self.find(each.numbers) for name, each in self.damping.items()}
+        self.at_damped = {name: _as_slice(self.find(each.numbers)) for name, each in self.damping.items()}
         self.at_springs = {name: self.find(each.numbers) for name, each in self.springs.items()}
-        forced = self.at_loads, self.at_jump, *self.at_damped.values(), *self.at_springs.values()
-        self.forced: Ints = np.unique(np.concatenate(forced))
-        self.places_forced, self.places_own = self.places[self.forced], self.places[self.at_own]
+        self.places_forced, self.places_own = self.places[: len(forced)], self.places[self.at_own]
         self._find_pushed(operators, bodies)
         self.free_bodies = np.flatnonzero((self.on_body & ~self.is_held)[self.at_own])
         self.held_of_own = np.searchsorted(self.own, self.held)
@@ -125,11 +128,12 @@ class Nodes:
         whole = block_diagonal(operators.mass, np.arange(len(self.mass)), [bodies]).blocks[0]
         self.inverse_of_bodies = _inverted(whole, ~is_held[self.bodies])
         both = np.intersect1d(self.pushed, self.at_own)
-        self.pushed_own, self.own_pushed = (np.searchsorted(each, both) for each in (self.pushed, self.at_own))
+        self.pushed_own, in_order = np.searchsorted(self.pushed, both), np.argsort(self.at_own)
+        self.own_pushed = in_order[np.searchsorted(self.at_own, both, sorter=in_order)]
 
     def find(self, numbers: Ints) -> Ints:
         """Places (n,) of local numbers (n,) in ``every``."""
-        return np.searchsorted(self.every, numbers)
+        return np.asarray(self._sorted[np.searchsorted(self.every, numbers, sorter=self._sorted)])
 
     def prescribed(self, value: Callable[[PrescribedValues], float | Floats]) -> Floats:
         """Values (n,) of all supports at their unknowns, one after the other as in ``held``."""
@@ -160,6 +164,24 @@ class Nodes:
     def destroy(self) -> None:
         """Free matrices. Collective."""
         destroy(self.no_support, self.rock, self.jump, self.sizes, *self.damping.values(), *self.springs.values())
+
+
+def _and_others(numbers: Ints, more: list[Ints]) -> Ints:
+    """Numbers (n,) in their order, and behind them all others of some lists."""
+    return np.concatenate([numbers, np.setdiff1d(np.concatenate([numbers, *more]), numbers)])
+
+
+def _of_nodes(numbers: Ints, by_nodes: bool) -> Ints:
+    """Unknowns (n,), with the other one of each node where there are two a node."""
+    if not by_nodes:
+        return numbers
+    return np.asarray((2 * np.unique(numbers // 2)[:, None] + np.arange(2)).ravel())
+
+
+def _as_slice(places: Ints) -> Ints | slice:
+    """Places (n,) one after the other as a slice, which needs no copy; others as they are."""
+    first = int(places[0]) if len(places) else 0
+    return slice(first, first + len(places)) if np.array_equal(places, first + np.arange(len(places))) else places
 
 
 def _inverted(matrix: Floats, free: Bools) -> Floats:

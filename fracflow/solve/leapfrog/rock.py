@@ -18,6 +18,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.solid import elasticity
 from fracflow.scene.scene import Scene
 from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.leapfrog.local import in_blocks
 from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
 
 PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
@@ -259,7 +260,7 @@ class AssembledRock:
         rock = operators.stiffness.copy()
         if springs is not None:
             rock.axpy(-1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        self._matrix = _in_blocks(rock, operators) if plain else rock
+        self._matrix = in_blocks(rock) if plain else rock
         self.places = np.arange(count)
         self._vectors = [operators.layout.solid_vector() for _ in range(2)]
         self.u, self._ku = (each.getArray() for each in self._vectors)
@@ -308,18 +309,3 @@ class AssembledRock:
     def destroy(self) -> None:
         """Free the matrix. Collective."""
         destroy(self._matrix, *self._vectors)
-
-
-def _in_blocks(rock: PETSc.Mat, operators: Operators) -> PETSc.Mat:
-    """A matrix in blocks of two; the given one is freed. Collective."""
-    from scipy import sparse  # imports much
-
-    indptr, indices, values = rock.getValuesCSR()
-    square = sparse.csr_matrix((values, indices, indptr), shape=(rock.getLocalSize()[0], rock.getSize()[1])).tobsr(
-        (2, 2)
-    )
-    square.sort_indices()
-    csr = (petsc_ints(square.indptr), petsc_ints(square.indices), np.ascontiguousarray(square.data))
-    found = PETSc.Mat().createBAIJ(rock.getSizes(), 2, csr=csr, comm=operators.layout.comm)
-    rock.destroy()
-    return found

@@ -162,7 +162,7 @@ class Run:
         self.beside = self.constant[changes]
         self.loaded = np.setdiff1d(np.flatnonzero(self.constant), changes)
         np.subtract(self.constant, nodes.prestress, out=self.rock.e)
-        self.base = self.rock.e[nodes.places]
+        self.base = self.rock.e[nodes.places_forced]
         constant.destroy()
 
     def _rock_sums(self, sums: Sums) -> RockSums:
@@ -233,16 +233,19 @@ class Run:
         rock.u[nodes.places_pushed] += self.added
         rock.u[places[nodes.at_held]] = self.held_at
         force = self.base.copy()
-        force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
+        if len(nodes.at_loads):
+            force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
         force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.total).ravel())
         old_damped = self.damped
-        self.damped = {name: each.times(self.moved[nodes.at_damped[name]]) / dt for name, each in nodes.damping.items()}
+        self.damped = {
+            name: each.times(self.moved[nodes.at_damped[name]], 1.0 / dt) for name, each in nodes.damping.items()
+        }
         for name, each in self.damped.items():
             force[nodes.at_damped[name]] -= each
         for name, matrix in nodes.springs.items():
             at = nodes.at_springs[name]
             force[at] -= matrix.times(rock.u[places[at]])
-        rock.e[nodes.places_forced] = force[nodes.forced]
+        rock.e[nodes.places_forced] = force
         own = nodes.places_own
         u, v = rock.u[own], self.v[nodes.at_own]
         kick, drift = (0.5 * dt, 0.0) if is_last else (dt, dt)
