@@ -52,15 +52,26 @@ def run_with_progress(
     from fracflow.output.status import last_line
     from fracflow.solve.options import forget
 
-    totals, failure = None, None
+    totals, failure, on_disk = None, None, 0
+
+    def saved(steps: int) -> None:
+        nonlocal on_disk
+        on_disk = steps
+        words.saved(steps)
+
     screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            totals = job(RunProgress(scene, screen.show, on_saved=words.saved, on_trial=screen.follow))
+            totals = job(RunProgress(scene, screen.show, on_saved=saved, on_trial=screen.follow))
         except SolveError as error:
             failure = error
         except Interrupted as error:
             raise Interrupted(last_line(error, folder)) from error
+        except KeyboardInterrupt as error:  # a second one: the first waits for the end of the step
+            if not on_disk:
+                raise
+            cut = Interrupted(f"interrupted within a step; the state after {on_disk} steps is on disk")
+            raise Interrupted(last_line(cut, folder)) from error
         finally:
             forget()
     if is_shown or failure is not None:

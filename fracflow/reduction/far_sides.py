@@ -4,6 +4,10 @@ Stress beside a fracture of half length a falls as (a/r)^2, SHED to 1.5 times it
 side sends back about the stress that reaches it: that is the error of leaving it out. Before a run it follows from lengths.
 In each step it follows from the jumps D. Their largest principal stress along the sides is taken over the change of stress
 along the fractures, int D.t/int |D|.
+
+Sides that are held all round also keep the volume of the rock. A net volume V of open fractures squeezes its area A by V/A,
+and it presses back with (lambda + G) V/A. A fracture that a change of stress S opens has V = 2 pi a^2 S/E'. So
+pi a^2/A (1 - nu)/(1 - 2 nu) of S comes back: 4 (a/R)^2 in a box of 2 R for nu = 0.45, 200 (a/R)^2 for 0.499.
 """
 
 from __future__ import annotations
@@ -28,11 +32,16 @@ from fracflow.scene.units import LENGTH
 from fracflow.solve.rock_cost import direct, unmeshed
 
 PART = "sides and mesh of the rock"
-CRITERION = "stress of all fractures on the sides, over the change of stress along them"
+CRITERION = (
+    "stress of all fractures on the sides, and what keeps the volume of the rock, over the change of stress along them"
+)
 SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fracture, in the mean of all directions
 ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: a margin
 ANSWERED = 0.4  # of slip, over (a/r)^2: 0.3 to 0.5 at held sides
 ALARMING = 0.1  # change of slip from which on a line says so
+BULKY = (
+    0.4  # Poisson's ratio up to which the distance of sides tells enough: fractures of a network seldom all open wide
+)
 ENDS = 1e-3  # of its half length: a fracture that comes so near to a side ends there
 PLACES = 16  # along a side, and from bend to bend of a trace, where stresses and distances are looked at
 PER_FRACTURE = 16  # joints, where the scene states no size
@@ -77,13 +86,10 @@ def _obstacles(scene: Scene) -> Iterator[str]:
         yield "loads, ties or terms on its sides, whose work is not counted in rock without sides"
     if any(each.waves or each.without_inertia != "held" for each in scene.absorbing):
         yield "absorbing sides that waves come in by, or that are free without inertia"
-    held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
-    held |= {(name, part) for support in scene.support for name in support.on for part in support.components}
     moving = (s for s in scene.support if s.displacement is not None or s.displacement_gradient is not None)
     if (mover := next(moving, None)) is not None:
         yield f"support on {mover.on[0]} moves"
-    sides = side_names(np.array(geometry.outline, dtype=float))
-    if free := [side for side in sides if not {(side, "x"), (side, "y")} <= held]:
+    if free := _free_sides(scene):
         yield f"side {free[0]} is not held in x and y"
     if any(well.on is not None for well in scene.well):
         yield "a well is on a side"
@@ -105,21 +111,59 @@ def _obstacles(scene: Scene) -> Iterator[str]:
         yield "its solver or its cells are stated"
 
 
+def _free_sides(scene: Scene) -> list[str]:
+    """Sides that are not held in both x and y, where there is no inertia."""
+    assert scene.geometry is not None
+    held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
+    held |= {(name, part) for support in scene.support for name in support.on for part in support.components}
+    sides = side_names(np.array(scene.geometry.outline, dtype=float))
+    return [side for side in sides if not {(side, "x"), (side, "y")} <= held]
+
+
 def estimated(scene: Scene) -> float:
     """Error of leaving out the sides, by the lengths of fractures and their distances from the sides [1]."""
-    return ANSWER * SHED * sum((half / max(away, ENDS * half)) ** 2 for half, away, _ in _half_and_distance(scene))
+    lengths = list(_half_and_distance(scene))
+    return _error(
+        SHED * sum((half / max(away, ENDS * half)) ** 2 for half, away, _ in lengths),
+        _pressed_back(scene, sum(half**2 for half, _, _ in lengths)),
+    )
+
+
+def _error(reaches: float, back: float) -> float:
+    """Error by the stress that reaches the sides, and by the one with which they answer a net volume, in any unit."""
+    return max(ANSWER * reaches, reaches + back)
+
+
+def _pressed_back(scene: Scene, squares: float) -> float:
+    """The stress with which held sides answer open fractures, over what these change [1]; none in a scene without a fluid.
+
+    squares  sum of their squared half lengths [area]
+    """
+    assert scene.geometry is not None
+    area, nu = polygon_area(np.array(scene.geometry.outline, dtype=float)), _softest(scene)
+    return np.pi * squares / area * (1.0 - nu) / (1.0 - 2.0 * nu) if scene.has_flow else 0.0
+
+
+def _softest(scene: Scene) -> float:
+    """The largest Poisson's ratio of the rocks that deform, below 0.5; 0 without any."""
+    return max((rock.poissons_ratio or 0.0 for rock in scene.rock.values() if not rock.rigid), default=0.0)
 
 
 def near_sides(scene: Scene) -> list[str]:
-    """A line on the fracture within a domain that sides change most, if any: rock that goes on would let it slip farther."""
+    """A line on what sides change most, if anything: rock that goes on would let fractures slip and open farther."""
     if scene.geometry is None or scene.is_unbounded:
         return []
-    changed = [
-        (ANSWERED * (half / away) ** 2, half, away, name)
-        for half, away, name in _half_and_distance(scene)
-        if away > ENDS * half
-    ]
+    lengths = list(_half_and_distance(scene))
+    changed = [(ANSWERED * (half / away) ** 2, half, away, name) for half, away, name in lengths if away > ENDS * half]
     near = sorted((each for each in changed if each[0] > ALARMING), reverse=True)
+    keeps_volume = _softest(scene) > BULKY and not _free_sides(scene)
+    back = 0.0 if not keeps_volume else _pressed_back(scene, sum(half**2 for half, _, _ in lengths))
+    if back > max([ALARMING, *(each[0] for each in near)]):
+        return [
+            f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_softest(scene):g} fractures that"
+            f" open wide do so by up to {100 * back / (1 + back):.2g} % less than in rock that goes on there: put the sides"
+            f' {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
+        ]
     if not near:
         return []
     change, half, away, name = near[0]
@@ -253,12 +297,17 @@ def error_of_sides(model: Model, state: State) -> float:
     motion = ops.gathered(moved)
     comm, found = ops.layout.comm, 0.0
     if motion is not None and work > ops.scales.energy_noise(int(ops.layout.solid_starts[-1])):
-        assert model.mesh is not None and model.bounded is not None
+        assert model.mesh is not None and model.bounded is not None and model.bounded.geometry is not None
         mesh, (rock,) = model.mesh, model.scene.rock.values()
         ends, jumps = mesh.points[mesh.joint_bottom], motion[mesh.joint_top] - motion[mesh.joint_bottom]
         along = _along_sides(model.bounded)
         xx, yy, xy = dislocation.stresses(along, ends, jumps, rock.plane_strain_modulus).T
         most = float((np.abs(0.5 * (xx + yy)) + np.hypot(0.5 * (xx - yy), xy)).max())
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        found = ANSWER * most * float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1)) / work
+        facing = (ends[:, 1] - ends[:, 0]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])  # normals, as long as the joints
+        opened = abs(float((facing * jumps.mean(axis=1)).sum()))
+        area, nu = polygon_area(np.array(model.bounded.geometry.outline, dtype=float)), _softest(model.scene)
+        stiff = rock.plane_strain_modulus * (1.0 - nu) / (2.0 * (1.0 - 2.0 * nu))  # lambda + G
+        length = np.linalg.norm(facing, axis=1)
+        total = float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1))
+        found = _error(most, stiff * opened / area) * total / work
     return float(comm.bcast(found, root=0))

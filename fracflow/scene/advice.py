@@ -16,7 +16,7 @@ from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, TimeTable
 from fracflow.scene.units import LENGTH, STRESS, TIME
-from fracflow.scene.unusual import degrees, unusual
+from fracflow.scene.unusual import degrees, locking, unusual
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
@@ -30,6 +30,7 @@ def advice(scene: Scene) -> list[str]:
     return [  # the more of a result is wrong, the earlier
         *degrees(scene),
         *unusual(scene),
+        *locking(scene),
         *_idle(scene),
         *_timeless(scene),
         *_without_flow(scene),

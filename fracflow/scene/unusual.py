@@ -24,6 +24,7 @@ from fracflow.scene.units import (
 FAR_OFF = 10.0  # extents of a map in degrees that lie between it and (0, 0)
 SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock, a pressure that of one of water
 STREAM = 0.2  # m^3/s: few wells bring more
+LOCKS = 0.475  # opening of a crack on twenty joints is 0.4 % smaller at 0.45 than at 0.25, 2.6 % at 0.49, 14 % at 0.499
 DECIMALS = 3  # that coordinates on a plane may have
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
@@ -116,6 +117,16 @@ def _of_wells(scene: Scene) -> Iterator[str]:
         most = max(values, key=abs)
         if 0.0 < abs(most) * scene.unit_system.to_si(STRESS) < SLIGHT:
             yield _mistaken(scene, key, most, STRESS, "next to nothing in rock", "MPa")
+
+
+def locking(scene: Scene) -> Iterator[str]:
+    """Rock on a mesh whose volume hardly changes: its cells have not the freedom for that."""
+    for name, rock in scene.rock.items() if not scene.is_unbounded else ():
+        if not rock.rigid and (rock.poissons_ratio or 0.0) > LOCKS:
+            yield (
+                f"rock.{name}.poissons_ratio = {rock.poissons_ratio:g}: cells of rock that keeps its volume are too stiff: slip"
+                f" and opening come out too small, most near 0.5: take at most {LOCKS:g}, or ever finer cells"
+            )
 
 
 def unusual(scene: Scene) -> Iterator[str]:

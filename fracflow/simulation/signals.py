@@ -60,5 +60,7 @@ class SignalWatch:
             here = max(here, RunRequest.SAVE)
         agreed = RunRequest(self.comm.allreduce(int(here), op=MPI.MAX))
         if agreed is not RunRequest.GO_ON:
-            self._asked, self._saved = RunRequest.GO_ON, clock.monotonic()
+            self._saved = clock.monotonic()
+        if self._asked <= agreed:  # what came while ranks agreed on less is met after the next step
+            self._asked = RunRequest.GO_ON
         return agreed

@@ -183,11 +183,15 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
     else:
         pushed = "no net force just now, and no support that fixes its position"
     more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
-    remedy = "lower the load" if scene.is_unbounded else "hold it by a [[support]] or [[tie]], lower the load"
+    remedy = (
+        "lower the load, or give geometry a domain with sides"
+        if scene.is_unbounded
+        else "hold it by a [[support]] or [[tie]], lower the load"
+    )
     return (
         f"time {problem.time:.6g}: {_block(floating, worst)} has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"
         f" ({_around(floating, problem, worst)}): {pushed}{more}; there is no equilibrium: {remedy},"
-        ' or let it move in a stage of kind = "dynamic"'
+        f' {"and" if scene.is_unbounded else "or"} let it move in a stage of kind = "dynamic"'
     )
 
 

@@ -12,6 +12,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output import read_events, read_history
 from fracflow.output.reader import load_run_data
 from fracflow.reduction import far_sides
+from fracflow.scene import unusual
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import resume, run
 
@@ -116,7 +117,9 @@ def test_sides_that_matter_come_back(shared_tmp, dear_meshes, monkeypatch):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("gap", "value"), [(1.5, 2 * (2 / 1.5) ** 2), (498.0, 2 * (2 / 498.0) ** 2)])
+@pytest.mark.parametrize(
+    ("gap", "value"), [(1.5, 2 * (2 / 1.5) ** 2), (498.0, (2 / 498.0) ** 2 + np.pi * (2 / 1000.0) ** 2 * 0.75 / 0.5)]
+)
 def test_a_small_fracture_beside_a_long_side_keeps_it(gap, value):
     """The distance is that from the nearest place of a side, wherever that is."""
     trace = {"name": "a", "points": [[-438.0, gap - 500.0], [-434.0, gap - 500.0]]}
@@ -126,6 +129,30 @@ def test_a_small_fracture_beside_a_long_side_keeps_it(gap, value):
         probe=[], well=[], geometry={"domain": [-500.0, -500.0, 500.0, 500.0], "size": 60.0, "fracture": [trace]}
     )
     assert far_sides.estimated(given) == pytest.approx(value, rel=1e-12)
+
+
+def test_held_sides_keep_the_volume_of_rock(shared_tmp, dear_meshes, monkeypatch):
+    """A crack that 2 MPa open in rock of nu = 0.49, between sides at ten times its length: they take 5 % of its opening."""
+    crack = {
+        "rock": {"rock": {"youngs_modulus": 4e10, "poissons_ratio": 0.49}},
+        "initial_stress": {"xx": -1e7, "yy": -1e7, "zz": -1e7},
+        "geometry": {"domain": [-200, -200, 200, 200], "size": 50, "growth": 0.3, "size_at_fractures": 1.0,
+                     "fracture": [{"name": "a", "points": [[-10, 0], [10, 0]]}]},
+        "fluid": {"viscosity": 1e-3, "initial_pressure": 0.0},
+        "fracture": {"a": {"normal_stiffness": 1e14, "shear_stiffness": 1e13, "aperture": 1e-3, "friction_coefficient": 0.6,
+                           "pressure": [[0, 0], [1, 1.2e7]]}},
+        "well": [], "stage": [{"kind": "quasi-static", "time_step": 1.0, "steps": 1}],
+        "probe": [{"name": "p", "at": [0, 0], "on": "a", "quantities": ["opening"]}],
+    }  # fmt: skip
+    scene = scene_of(**crack)
+    assert far_sides.estimated(scene) == pytest.approx((10 / 190) ** 2 + np.pi * (10 / 400) ** 2 * 0.51 / 0.02)
+    monkeypatch.setattr(far_sides, "estimated", lambda scene: 1e-3)
+    run(scene, shared_tmp / "closed")
+    assert "sides would change results by up to 0.05" in row(shared_tmp / "closed")["undone"]
+    assert "poissons_ratio = 0.49: cells of rock" in "".join(unusual.locking(scene))
+    near = scene_of(**crack | {"geometry": crack["geometry"] | {"domain": [-100, -100, 100, 100]}})
+    assert any("held all round" in line and "17 % less" in line for line in far_sides.near_sides(near))
+    assert not any("held all round" in line for line in far_sides.near_sides(near.model_copy(update={"support": ()})))
 
 
 def test_a_run_without_sides_goes_on(shared_tmp, dear_meshes):

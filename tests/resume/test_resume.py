@@ -15,14 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _launch import without_ranks
+from rich.console import Console
 
-from fracflow.errors import InputError
+from fracflow._petsc import MPI
+from fracflow.cli.run import run_with_progress
+from fracflow.errors import InputError, Interrupted
 from fracflow.model.state import COUNTS as COUNTS_OF_STEPS
 from fracflow.model.state import StepReport
 from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.output.status import STOPPED, read_status
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
+from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 
 pytestmark = [pytest.mark.serial, pytest.mark.starts_ranks]
@@ -145,6 +149,32 @@ def test_signals_save_and_stop(tmp_path, whole, number):
     assert 12 <= stopped < len(read_history(whole / "history.h5")["time"])
     go_on(folder)
     same(folder, whole)
+
+
+def test_a_signal_that_comes_while_ranks_agree_on_a_save_is_met_after_the_next_step():
+    class Ranks:
+        rank, sent = 0, [signal.SIGTERM]
+
+        def allreduce(self, value, op):
+            if self.sent:
+                signal.raise_signal(self.sent.pop())
+            return value
+
+    with SignalWatch(Ranks(), 1, 1e9) as watch:
+        assert [watch.request(steps) for steps in (1, 2, 3)] == [RunRequest.SAVE, RunRequest.STOP, RunRequest.SAVE]
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+def test_a_second_interrupt_tells_how_to_go_on(tmp_path, steps):
+    def job(observer):
+        if steps:
+            observer.saved(steps)
+        raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted if steps else KeyboardInterrupt) as caught:
+        run_with_progress(load(SCENE), tmp_path, Console(quiet=True), MPI.COMM_SELF, job)
+    if steps:
+        assert str(caught.value).endswith(f"after 3 steps is on disk; go on with: fracflow resume {tmp_path}")
 
 
 @pytest.mark.parametrize(
