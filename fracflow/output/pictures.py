@@ -322,7 +322,8 @@ def _draw_profiles(
     of = "fractures" if len(profiles) == len(fractures.names) else which
     both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
-    first = f"{run.at(fractures.begins)} dashed, " if fractures.has_before else ""
+    begins = run.at(fractures.begins) if run.settled.start == 0 else "initial"  # a stage may have taken no time since
+    first = f"{begins} dashed, " if fractures.has_before else ""
     when = "" if scale.is_constant else f": {first}{run.at(fractures.time)}"
     axes.set_title(f"{word} along {of}{when}", wrap=True)
     s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)

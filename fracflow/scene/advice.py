@@ -49,6 +49,12 @@ def advice(scene: Scene) -> list[str]:
 
 
 def _idle(scene: Scene) -> Iterator[str]:
+    geometry = scene.geometry
+    if geometry is not None and geometry.is_unbounded and geometry.size and geometry.size_at_fractures:
+        if not scene.has_dynamics:
+            yield note(
+                "geometry.size does nothing: rock that is not meshed has joints of size_at_fractures, and no cells"
+            )
     for kind in ("well", "load"):
         for entry in getattr(scene, kind):
             name = getattr(entry, "control", None)

@@ -139,7 +139,9 @@ class Well(Table):
         if self.at is None and self.on is None:
             raise fault("missing; a well needs a place, or on = a side", key="at")
         if self.at is not None and self.on is not None:
-            raise fault("contradicts at; give one of them", key="on")
+            raise fault(
+                "contradicts at: on is a side, and a well at a place is on the fracture there; give one", key="on"
+            )
         if self.flow_rate is None and self.pressure is None:
             raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
         if self.flow_rate is not None and self.pressure is not None:

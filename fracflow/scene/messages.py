@@ -47,9 +47,14 @@ def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseMo
         path = tuple(context["path"])
     elif "key" in context:
         path = (*path, context["key"])
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    more = others(len(errors) - 1)
     whole = first["type"] == "fracflow" and path == first["loc"] and "text" in context
     return f"{written(path, data, whole)}: {_what(first, path, data, model)}{more}"
+
+
+def others(count: int) -> str:
+    """How many more errors a scene has, behind the first of them."""
+    return f" (and {count} more error{'s' if count > 1 else ''})" if count else ""
 
 
 def written(path: Path, data: Mapping[str, Any], tables: bool = False) -> str:

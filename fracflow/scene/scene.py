@@ -14,7 +14,7 @@ from fracflow.errors import InputError
 from fracflow.remarks import note
 from fracflow.scene.checks import check_mesh_names, contradictions
 from fracflow.scene.geometry import with_traces
-from fracflow.scene.messages import one_line
+from fracflow.scene.messages import one_line, others
 from fracflow.scene.tables import Tables
 from fracflow.scene.toml import override, read_toml, write_toml, write_value
 from fracflow.scene.units import UnitSystem, fault
@@ -32,8 +32,7 @@ class Scene(Tables):
         faults = list(contradictions(self))
         if faults:
             path, text = faults[0]
-            more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-            raise fault(text + more, path=path)
+            raise fault(text + others(len(faults) - 1), path=path)
         return self
 
     def __eq__(self, other: object) -> bool:

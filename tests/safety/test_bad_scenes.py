@@ -25,7 +25,7 @@ pytestmark = pytest.mark.serial
 SCENES = {
     "missing": ({}, "scene.toml: no such file; give the path of a TOML file"),
     "a folder": ({"scene.toml": None}, "scene.toml: cannot be read: Is a directory; give the path of a TOML file"),
-    "empty": ({"scene.toml": ""}, "scene.toml: stage: missing; a run needs at least one [[stage]] (and 2 more)"),
+    "empty": ({"scene.toml": ""}, "scene.toml: stage: missing; a run needs at least one [[stage]] (and 2 more errors)"),
     "truncated": ({"scene.toml": SCENE[: SCENE.index(' GPa"')]}, "scene.toml: not valid TOML: … (at"),
     "cut between tables": (
         {"scene.toml": SCENE[: SCENE.index("[[support]]")]},

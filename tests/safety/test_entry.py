@@ -182,8 +182,8 @@ HARD = {
     "a huge power": (row(SCENE, "50 GPa", "50 GPa**9999999"), None, 'unknown unit "GPa**9999999"'),
     "units of powers": ('units = "m*9**9**9**9-N-s"\n' + SCENE, None, "is not a unit of length"),
     "digits without end": (row(SCENE, '"50 GPa"', '"' + "1" * 50000 + '\\n"'), None, "must be a number in"),
-    "many keys": ("".join(f"k{i} = 1\n" for i in range(30000)) + SCENE, None, "(and 29999 more)"),
-    "many of one name": (SCENE + '[[probe]]\nname = "p"\nat = [3, 2]\n' * 20000, None, "(and 19998 more)"),
+    "many keys": ("".join(f"k{i} = 1\n" for i in range(30000)) + SCENE, None, "(and 29999 more errors)"),
+    "many of one name": (SCENE + '[[probe]]\nname = "p"\nat = [3, 2]\n' * 20000, None, "(and 19998 more errors)"),
     "a long name": ('"' + "x" * 100000 + '" = 1\n' + SCENE, None, "unknown key"),
 }
 

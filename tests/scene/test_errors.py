@@ -144,7 +144,7 @@ def test_control_without_follower(make):
 
 def test_several_errors_are_counted_and_spelling_comes_first(make):
     text = make.text.replace("normal_stiffness", "normal_stifness").replace("0.25", "0.75")
-    with pytest.raises(InputError, match=r"fault.normal_stifness = .*did you mean.*\(and 2 more\)$"):
+    with pytest.raises(InputError, match=r"fault.normal_stifness = .*did you mean.*\(and 2 more errors\)$"):
         make(text=text)
 
 

@@ -32,7 +32,7 @@ FLATTEST, TALLEST = 0.1, 4.0  # height over width of a map: a domain beyond is d
 _LOOKS = {
     "well": ("v", "#56B4E9", 10.0),
     "probe": ("o", "white", 5.0),
-    "slipped first": ("*", "#D55E00", 11.0),
+    "slipped first": ("*", "#D55E00", 16.0),
     "limit point": ("D", "#CC79A7", 7.0),
 }
 _SIDES = {"support": ("#7d7768", 3.5), "absorbing side": ("#CC79A7", 1.8)}  # colour, and width [points]
@@ -138,7 +138,17 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
         if places:
             marker, colour, size = _LOOKS[kind]
             at = scaled(np.array(list(places.values())), x, y).T
-            axes.plot(*at, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=kind)
+            axes.plot(
+                *at,
+                marker,
+                ms=size,
+                mfc=colour,
+                mec=INK,
+                mew=0.9,
+                ls="",
+                zorder=6 - 0.1 * (kind == "slipped first"),
+                label=kind,
+            )
     axes.autoscale_view()
     axes.margins(0.03)
     if network.window is not None:
