@@ -47,7 +47,7 @@ def slip_of_states(model: Model, old: State, new: State, inertia: bool = False) 
     groups = zip(joints.laws, old.sections.history, new.sections.history, strict=True)
     for group, before, after in ((g, b, a) for g, b, a in groups if g.law.creeps and len(g.sections)):
         slip = far[group.sections]
-        rates = (np.maximum(each["sliding_rate"], np.finfo(float).tiny) for each in (before, after))
+        rates = (np.maximum(group.law.slip_rate(each), np.finfo(float).tiny) for each in (before, after))
         evolved, bend = slip / group.law.state_length(after), np.diff(np.log(list(rates)), axis=0)[0] * (not inertia)
         over = max(over, float(np.maximum(evolved, np.cbrt(evolved * bend**2)).max()) / share)
         if asked.tolerance is None or most == 0.0:
@@ -62,7 +62,7 @@ def longest_step(model: Model, state: State) -> float:
     shortest = np.inf
     for group, past in zip(model.operators.joints.laws, state.sections.history, strict=True):
         if group.law.creeps and len(group.sections):
-            rate = np.maximum(past["sliding_rate"], np.finfo(float).tiny)
+            rate = np.maximum(group.law.slip_rate(past), np.finfo(float).tiny)
             shortest = min(shortest, float((group.law.state_length(past) / rate).min()))
     return float(model.operators.layout.comm.allreduce(shortest, op=MPI.MIN)) * model.scene.accuracy.slip_share
 

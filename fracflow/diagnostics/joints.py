@@ -165,8 +165,8 @@ def _of_laws(
             tractions = dict(initial_normal_traction=normal[here].ravel(), initial_shear_traction=sheared[here].ravel())
             of_scene = make_law(name, **given, **tractions, **_choices(scene, mesh, name, here))
             start = of_scene.initial_history(count, 2)
-            found[5][here] = start["state"].reshape(-1, 2)
-            found[6][here] = (start["sliding_rate"] * start["state"] / evolves).reshape(-1, 2)
+            rate, age = of_scene.slip_rate(start), of_scene.contact_age(start)
+            found[5][here], found[6][here] = age.reshape(-1, 2), (rate * age / evolves).reshape(-1, 2)
             found[7][here] = of_scene.front_length(start).reshape(-1, 2)
     return found
 

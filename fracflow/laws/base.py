@@ -127,7 +127,7 @@ class JointLaw(Protocol):
 
     slides        whether its plastic slip may grow
     opens         whether its walls may part
-    creeps        whether it slips at any traction, at a rate that depends on it
+    creeps        whether it slips at any traction, at a rate that depends on it; steps follow its ``slip_rate``
     weakens_over  key of the slip over which its strength falls; empty where it has none
     no_drop       setting with which its strength does not drop at once; empty where it never does
     compiled      number of its copy in the plane, in ``friction.h`` or ``joints.c``. It is not inherited, since a
@@ -216,6 +216,14 @@ class JointLaw(Protocol):
     def front_length(self, history: History) -> Floats:
         """The same (n,) at a front of fast slip that comes after ``history``, for joints to resolve [length]."""
         return self.state_length(history)
+
+    def slip_rate(self, history: History) -> Floats:
+        """Rate (n,) of plastic slip after ``history``, of a law that creeps [length/time]."""
+        return np.zeros(len(next(iter(history.values()), ())))
+
+    def contact_age(self, history: History) -> Floats:
+        """The friction's state theta (n,) after ``history``; not a number of a law without a state [time]."""
+        return np.full(len(next(iter(history.values()), ())), np.nan)
 
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
         """By how much strength (n,) rises where slip is e times as fast, at once, and how much of it the state takes back.

@@ -210,6 +210,18 @@ class Dilatant(JointLaw):
         """That of the law of friction (n,)."""
         return self.law.state_length(history)
 
+    def front_length(self, history: History) -> Floats:
+        """That of the law of friction (n,)."""
+        return self.law.front_length(history)
+
+    def slip_rate(self, history: History) -> Floats:
+        """That of the law of friction (n,)."""
+        return self.law.slip_rate(history)
+
+    def contact_age(self, history: History) -> Floats:
+        """That of the law of friction (n,)."""
+        return self.law.contact_age(history)
+
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
         """Those of the law of friction (n,)."""
         return self.law.rate_effects(compression)

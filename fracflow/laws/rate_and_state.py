@@ -238,6 +238,14 @@ class RateAndState(JointLaw):
         """Fraction (n,) of an increment (n, dim) at which the walls part or meet."""
         return self.closure.change_at(strain, increment)
 
+    def slip_rate(self, history: History) -> Floats:
+        """V (n,), the mean rate of plastic slip over the last step [length/time]."""
+        return history["sliding_rate"]
+
+    def contact_age(self, history: History) -> Floats:
+        """Theta (n,) [time]."""
+        return history["state"]
+
     def state_length(self, history: History) -> Floats:
         """D_c (n,); by the slip law over |ln(V theta/D_c)| where that is above 1 [length]."""
         theta, rate = history["state"], history["sliding_rate"]

@@ -39,9 +39,7 @@ SHED = 1.0  # stress at a distance r, over (a/r)^2 of the change along a fractur
 ANSWER = 2.0  # error at the fractures, over the stress that reaches the sides: a margin
 ANSWERED = 0.4  # of slip, over (a/r)^2: 0.3 to 0.5 at held sides
 ALARMING = 0.1  # change of slip from which on a line says so
-BULKY = (
-    0.4  # Poisson's ratio up to which a line on distances is enough: fractures of a network seldom all open wide
-)
+BULKY = 0.4  # Poisson's ratio up to which a line on distances is enough: fractures of a network seldom all open wide
 ENDS = 1e-3  # of its half length: a fracture that comes so near to a side ends there
 PLACES = 16  # along a side, and from bend to bend of a trace, where stresses and distances are looked at
 PER_FRACTURE = 16  # joints, where the scene states no size

@@ -99,7 +99,7 @@ class Notices:
         far = 0.0
         for group, history in zip(joints.laws, state.sections.history, strict=True):
             if group.law.creeps and len(group.sections):
-                far = max(far, float((history["sliding_rate"] / group.law.state_length(history)).max()) * length)
+                far = max(far, float((group.law.slip_rate(history) / group.law.state_length(history)).max()) * length)
         far = self._model.operators.layout.comm.allreduce(far, op=MPI.MAX)
         if far <= max(MOST_SLIP, WIDENS * self._totals.far_slip):
             return

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from test_joint_law_contract import PATHS, SAMPLES, SECTIONS, latched
 
-from fracflow.laws import JOINT_LAWS, LawStep, may_dilate
+from fracflow._petsc import MPI
+from fracflow.laws import JOINT_LAWS, JointLaw, LawStep, may_dilate
 from fracflow.laws.dilation import Dilatant
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 pytestmark = pytest.mark.serial
 
@@ -24,6 +27,20 @@ def ridden_up(slip):
     """The integral of the slope that falls linearly."""
     slip = np.minimum(slip, DISTANCE)
     return SLOPE * (slip - slip**2 / (2.0 * DISTANCE))
+
+
+def test_every_method_of_a_law_is_that_of_the_friction():
+    """One that were inherited would answer for a law without friction."""
+    methods = {name for name, value in vars(JointLaw).items() if callable(value) and not name.startswith("_")}
+    assert methods - vars(Dilatant).keys() == set()
+
+
+def test_a_law_may_creep_without_a_state(tmp_path, monkeypatch):
+    """What follows rates of slip asks the law for them, and not its history."""
+    monkeypatch.setattr(JOINT_LAWS["hyperbolic-coulomb"], "creeps", True)
+    folder, settings = tmp_path / "run", ["output.pictures=false", "stage.0.steps=2", "rock.rock.density=2700"]
+    totals = run(load("meshes/r01_inclined_joint/scene.toml", settings), folder, MPI.COMM_SELF)
+    assert totals.steps > 1 and not totals.doubts
 
 
 def test_linear_joints_do_not_dilate():
