@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from fracflow._version import __version__
 
-__all__ = ["InputError", "Interrupted", "Run", "SolveError", "__version__", "converge", "load", "open", "run"]
+__all__ = [
+    "DiskError", "InputError", "Interrupted", "Run", "SolveError", "__version__", "converge", "load", "open", "run",
+]  # fmt: skip
 
 if TYPE_CHECKING:
     from fracflow.api import Run, converge, load, open, run
-    from fracflow.errors import InputError, Interrupted, SolveError
+    from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 
 def __getattr__(name: str) -> Any:

@@ -217,7 +217,7 @@ def run(scene: Scene, out: str | Path | None = None, trust: bool = False) -> Run
 
     Under mpirun every rank must call it, and may use what it gives. An earlier run in the folder is replaced; no
     pictures are drawn (``fracflow picture FOLDER``). ``trust`` is as in ``load``.
-    Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
+    Raises, on every rank, InputError, SolveError (``open`` gives what was reached), DiskError and Interrupted.
     """
     from fracflow._petsc import MPI
     from fracflow.simulation.run import run

@@ -1,4 +1,4 @@
-"""The two ways a run can end badly; every message is one line that says what would be right. And two that are no failure."""
+"""The ways a run can end badly, and those that are no failure. Every message is one line that says what would be right."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged, Unsolved
 from fracflow.integrators import Alphas
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.compressibility import uptake_at
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.layout import add_blocks, create_matrix
@@ -104,6 +104,10 @@ class FlowOnJoints:
         numbers = np.concatenate([flow.reshape(-1, 1), np.repeat(flow, 2, axis=0)], axis=1).astype(float)
         self.nodes: Ints = clusters.exchange.there(numbers).astype(np.int64)
         self.fills = 0
+        self._held: tuple[Loads | None, Bools] = (
+            None,
+            np.zeros(0, dtype=bool),
+        )  # flow nodes with a pressure, of which loads
 
     def given(self, problem: SectionProblem) -> PETSc.Vec:
         """Terms of the balance that are known before the step is solved, in a new vector. Collective."""
@@ -170,7 +174,10 @@ class FlowOnJoints:
         network, layout = self.operators.network, self.operators.layout
         assert problem.conduction is not None
         start, count, rate = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, problem.alphas.a1
-        held = np.isin(layout.flow_numbers(np.arange(int(layout.flow_starts[-1]))), problem.loads.fixed_flow)
+        if self._held[0] is not problem.loads:
+            numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
+            self._held = problem.loads, np.isin(numbers, problem.loads.fixed_flow)
+        held = self._held[1]
         between = problem.conduction.tangents(problem.alphas.b1)[0]
         joined = self.operators.blocks.joints.flow
         self.matrix.zeroEntries()
@@ -323,7 +330,7 @@ class SectionSolver:
         stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
         where = fractures_of(self.operators.blocks, stuck) or "the network"
         raise NotConverged(
-            f"time {problem.time:.6g}: {where} found no balance of joints and flow in {most} iterations of an"
+            f"time {problem.time:.6g}: {where} found no balance of joints and flow in {iteration} iterations of an"
             f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
             " time_step",
             kind="sections",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.integrators import first_rate
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.leak_off import (
