@@ -36,7 +36,7 @@ def test_every_method_of_a_law_is_that_of_the_friction():
 
 
 def test_a_law_may_creep_without_a_state(tmp_path, monkeypatch):
-    """What follows rates of slip asks the law for them, and not its history."""
+    """Steps ask a law for its rate of slip, and do not look it up in its history."""
     monkeypatch.setattr(JOINT_LAWS["hyperbolic-coulomb"], "creeps", True)
     folder, settings = tmp_path / "run", ["output.pictures=false", "stage.0.steps=2", "rock.rock.density=2700"]
     totals = run(load("meshes/r01_inclined_joint/scene.toml", settings), folder, MPI.COMM_SELF)
