@@ -21,18 +21,11 @@ from fracflow.solve.residual import Residual
 from fracflow.solve.sections import SectionProblem
 
 
-def start_again(problem: StepProblem) -> None:
-    """Put the trial back to where the step starts. Collective."""
-    problem.state.pressure.copy(problem.pressure)
-    problem.move(np.zeros(problem.operators.layout.solid_count))
-    problem.trial_status = problem.state.sections.history
-
-
 def without_suction(problem: StepProblem) -> bool:
     """Put the trial back too, with no pressure below the given least one; return whether that lifted any. Collective."""
     before, comm = problem.state.pressure.getArray(readonly=True), problem.operators.layout.comm
     lowest = min(before.min(initial=np.inf), problem.pressure.getArray(readonly=True).min(initial=np.inf))
-    start_again(problem)
+    problem.begin_again()
     pressure = problem.pressure.getArray()
     given = min((pressure[part.numbers].min(initial=np.inf) for part in problem.loads.pressures), default=np.inf)
     lowest, given = comm.allreduce(float(lowest), op=MPI.MIN), comm.allreduce(float(given), op=MPI.MIN)

@@ -8,7 +8,7 @@ from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
-from fracflow.solve.accept import start_again, step_report, without_suction
+from fracflow.solve.accept import step_report, without_suction
 from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.failure import FLOATING
 from fracflow.solve.jacobian import JoinedMatrix
@@ -93,7 +93,7 @@ class Auto(WholeLU):
             ):
                 raise
             self.other, first = self.other or self._second(failure), failure
-        start_again(problem)
+        problem.begin_again()
         problem.evaluate()
         try:
             return super().solve(problem, self.other)

@@ -88,11 +88,8 @@ class StepProblem:
         self._known, self._is_blurred = state.sections.strain, False
         self._is_followed: Bools | None = None  # None where no strain is
         self.pressure = state.pressure.copy()
-        if start is not None:
-            self.pressure.setArray(start[1])
-        self.move(np.zeros(layout.solid_count) if start is None else start[0])
+        self.begin_again(start)
         self.sections = state.sections
-        self.trial_status, self._refused = Statuses.of(state.sections)
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
         self.fluid_before = None if operators.flow is None else compression_of(operators, state)
@@ -145,6 +142,16 @@ class StepProblem:
             vector.getArray()[numbers] = values
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
+
+    def begin_again(self, start: Guess | None = None) -> None:
+        """Put the trial to where the step starts, or to a motion (n,) and pressures (m,), with its statuses. Collective."""
+        motion, pressure = start or (
+            np.zeros(self.operators.layout.solid_count),
+            self.state.pressure.getArray(readonly=True),
+        )
+        self.trial_status, self._refused = Statuses.of(self.state.sections)
+        self.pressure.setArray(pressure)
+        self.move(motion)
 
     @cached_property
     def _largest_given(self) -> float:

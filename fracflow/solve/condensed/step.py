@@ -69,9 +69,7 @@ class Condensed:
                 done = self._bring(problem, *kept)
         except NotConverged:
             given_up = "no balance to all digits on the fractures alone"
-            problem.pressure.setArray(start[1])
-            problem.trial_status = problem.state.sections.history
-            problem.move(start[0])
+            problem.begin_again(start)
         report = self.full.solve(problem)
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
         return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)

@@ -23,7 +23,7 @@ from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
-from fracflow.solve.accept import start_again, step_report
+from fracflow.solve.accept import step_report
 from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.fixed_point.contraction import (
     Prediction,
@@ -125,7 +125,7 @@ class FixedPoint:
             report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
             report = replace(report, made=self._made(problem, prediction))
         except _Lost as lost:
-            start_again(problem)
+            problem.begin_again()
             problem.evaluate()
             why = describe_divergence(self.scene, problem, self.whole_matrix, prediction, changes, lost.left, str(lost))
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
