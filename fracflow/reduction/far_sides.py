@@ -138,11 +138,11 @@ def _pressed_back(scene: Scene, squares: float) -> float:
     squares  sum of their squared half lengths [area]
     """
     assert scene.geometry is not None
-    area, nu = polygon_area(np.array(scene.geometry.outline, dtype=float)), _softest(scene)
+    area, nu = polygon_area(np.array(scene.geometry.outline, dtype=float)), _largest_nu(scene)
     return np.pi * squares / area * (1.0 - nu) / (1.0 - 2.0 * nu) if scene.has_flow else 0.0
 
 
-def _softest(scene: Scene) -> float:
+def _largest_nu(scene: Scene) -> float:
     """The largest Poisson's ratio of the rocks that deform, below 0.5; 0 without any."""
     return max((rock.poissons_ratio or 0.0 for rock in scene.rock.values() if not rock.rigid), default=0.0)
 
@@ -154,11 +154,11 @@ def near_sides(scene: Scene) -> list[str]:
     lengths = list(_half_and_distance(scene))
     changed = [(ANSWERED * (half / away) ** 2, half, away, name) for half, away, name in lengths if away > ENDS * half]
     near = sorted((each for each in changed if each[0] > ALARMING), reverse=True)
-    keeps_volume = _softest(scene) > BULKY and not _free_sides(scene)
+    keeps_volume = _largest_nu(scene) > BULKY and not _free_sides(scene)
     back = 0.0 if not keeps_volume else _pressed_back(scene, sum(half**2 for half, _, _ in lengths))
     if back > max([ALARMING, *(each[0] for each in near)]):
         return [
-            f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_softest(scene):g} fractures that"
+            f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_largest_nu(scene):g} fractures that"
             f" open wide do so by up to {100 * back / (1 + back):.2g} % less than in rock that goes on there: put the sides"
             f' {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
         ]
@@ -303,7 +303,7 @@ def error_of_sides(model: Model, state: State) -> float:
         most = float((np.abs(0.5 * (xx + yy)) + np.hypot(0.5 * (xx - yy), xy)).max())
         facing = (ends[:, 1] - ends[:, 0]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])  # normals, as long as the joints
         opened = abs(float((facing * jumps.mean(axis=1)).sum()))
-        area, nu = polygon_area(np.array(model.bounded.geometry.outline, dtype=float)), _softest(model.scene)
+        area, nu = polygon_area(np.array(model.bounded.geometry.outline, dtype=float)), _largest_nu(model.scene)
         stiff = rock.plane_strain_modulus * (1.0 - nu) / (2.0 * (1.0 - 2.0 * nu))  # lambda + G
         length = np.linalg.norm(facing, axis=1)
         total = float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1))
