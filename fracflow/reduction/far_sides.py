@@ -159,8 +159,8 @@ def near_sides(scene: Scene) -> list[str]:
     if back > max([ALARMING, *(each[0] for each in near)]):
         return [
             f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_largest_nu(scene):g} fractures"
-            f" that open wide do so by up to {100 * back / (1 + back):.2g} % less than in rock that goes on there: put the sides"
-            f' {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
+            f" that open wide do so by up to {100 * back / (1 + back):.2g} % less than in rock that goes on there: put"
+            f' the sides {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
         ]
     if not near:
         return []
