@@ -215,11 +215,14 @@ def mesh_command(
     trust: Trust = False,
 ) -> None:
     """Mesh and split only, with a summary; the mesh may be kept for runs where there is no Gmsh."""
+    from fracflow._petsc import MPI
     from fracflow.cli.mesh import mesh_lines
+    from fracflow.model.setup import on_root
     from fracflow.scene.scene import load
 
     keep_imports()
-    for line in mesh_lines(load(scene, set_ or [], trust), output):
+    given = load(scene, set_ or [], trust)
+    for line in on_root(MPI.COMM_WORLD, lambda: [*mesh_lines(given, output)]) or ():
         typer.echo(line)
 
 

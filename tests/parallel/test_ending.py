@@ -9,6 +9,7 @@ from _launch import without_ranks
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.mesh.store import is_saved_mesh
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
@@ -62,6 +63,16 @@ def test_an_interrupt_of_one_rank_before_the_first_step_ends_all():
     done = started(INTERRUPTED)
     assert done.returncode == 130, done.stderr
     assert "fracflow: rank 0 alone: interrupted before the first step" in done.stderr
+
+
+@pytest.mark.serial
+@pytest.mark.starts_ranks
+def test_one_rank_keeps_a_mesh_and_tells_of_it(tmp_path):
+    scene = Path(__file__).parents[2] / "meshes/failures/closing_joint/scene.toml"
+    words = ["fracflow", "mesh", str(scene), "-o", str(tmp_path / "kept.h5")]
+    done = started(f"import sys; from fracflow.cli.app import main; sys.argv = {words!r}; main()")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("cells: ") == 1 and is_saved_mesh(tmp_path / "kept.h5")
 
 
 @pytest.mark.parametrize("name", ["unresolved", "unconnected_wells"])
