@@ -18,9 +18,20 @@ OF_TRACES = frozenset({"trace", "traces", "points", "coordinates", "line"})  # t
 MOST_LETTERS, MOST_NAMES = 100, 300  # that a misspelt name is compared by, and with
 
 
+OTHER_WORDS = {
+    "duration": "end", "dt": "time_step", "timestep": "time_step", "E": "youngs_modulus", "young": "youngs_modulus",
+    "nu": "poissons_ratio", "rho": "density", "mu": "friction_coefficient", "kn": "normal_stiffness",
+    "ks": "shear_stiffness", "k_n": "normal_stiffness", "k_s": "shear_stiffness", "rate": "flow_rate", "q": "flow_rate",
+    "p0": "initial_pressure", "position": "at", "location": "at", "gap": "aperture",
+}  # fmt: skip
+"""Words of other programs and of papers -> the key that they stand for, where a table has it."""
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which allowed name was probably meant, or list them all."""
     names = sorted(allowed)
+    if (other := OTHER_WORDS.get(name)) in names:
+        return f'did you mean "{other}"?'
     longer = [each for each in names[:MOST_NAMES] if name in each.split("_")]
     match = longer if len(longer) == 1 else get_close_matches(name[:MOST_LETTERS], names[:MOST_NAMES], n=1)
     if match:

@@ -13,6 +13,8 @@ CASES = {
     "zzz=1": "zzz = 1: unknown key; allowed: absorbing, accuracy, body_force, control,",
     "well.node2.flowrate=3": 'well.node2.flowrate = 3: unknown key; did you mean "flow_rate"?',
     "well.node2.rate=3": 'well.node2.rate = 3: unknown key; did you mean "flow_rate"?',
+    "stage.0.duration=3": 'duration = 3: unknown key; did you mean "end"?',
+    "rock.granite.nu=0.2": 'rock.granite.nu = 0.2: unknown key; did you mean "poissons_ratio"?',
     "support.0.gradient=3": 'support.0.gradient = 3: unknown key; did you mean "displacement_gradient"?',
     "rock.granite.youngs_modulus=true": 'rock.granite.youngs_modulus = true: must be a number in N/m^2 or a string such as "30 GPa"',
     "rock.granite.youngs_modulus=30 m": 'rock.granite.youngs_modulus = "30 m": "m" is not a unit of force/length**2; must be',
