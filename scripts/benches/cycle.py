@@ -2,9 +2,9 @@
 
     scripts/bench cycle [--against DIR] [--repeats N]
 
-DIR is a checkout of the older commit, e13dd07 in README.md, with its loops compiled: ``git worktree add DIR COMMIT``, and there
-``python -c "from setuptools import setup; setup()" build_ext --inplace``. Whole commands are timed, start-up and meshing
-included. Exit 1 where the median of the ratios is above a third, or where the catalogues have other events.
+DIR is a checkout of the older commit, e13dd07 in README.md, which had nothing to compile: ``git worktree add DIR COMMIT``. In a
+later one ``python -c "from setuptools import setup; setup()" build_ext --inplace`` makes its loops. Whole commands are timed,
+start-up and meshing included. Exit 1 where the median of the ratios is above a third, or where the catalogues have other events.
 """
 
 from __future__ import annotations
