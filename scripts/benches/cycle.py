@@ -4,7 +4,7 @@
 
 DIR is a checkout of the older commit, e13dd07 in README.md, which had nothing to compile: ``git worktree add DIR COMMIT``. In a
 later one ``python -c "from setuptools import setup; setup()" build_ext --inplace`` makes its loops. Whole commands are timed,
-start-up and meshing included. Exit 1 where the median of the ratios is above a third, or where the catalogues have other events.
+start-up and meshing included. Exit 1 where the median of the ratios is above a third, or where events are others.
 """
 
 from __future__ import annotations
