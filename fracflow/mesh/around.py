@@ -37,7 +37,7 @@ def mesh_around(geometry: GeometrySpec, unmeshed: SplitMesh) -> SplitMesh:
         "size": float(geometry.size),
         "sources": [(size, size / 2, spots.tolist()) for size, spots in _sources(unmeshed) if size < geometry.size],
         "growth": float(geometry.growth),
-        "quads": False,
+        "right_angled": False,
         "rock": geometry.rock,
         "whole": True,
     }

@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from fracflow.mesh.locate import PLACE_ROUND_OFF
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses
 from fracflow.mesh.plane.quads import all_quads
-from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.quality import BLUNT, cell_areas, worst_cells
 from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
 from fracflow.mesh.plane.unmeshed import cut, with_walls
@@ -120,6 +120,12 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     return _meshed(geometry, cut_at(network, geometry.nodes, snap), snap, misses)
 
 
+def _cells_of(job: dict[str, Any], geometry: GeometrySpec) -> RawMesh:
+    """The mesh that Gmsh makes of a job."""
+    elements, names = run_worker(job, "geometry"), [name for name, _ in geometry.traces]
+    return interpret(all_quads(elements) if geometry.cells == "quads" else elements, names, "geometry")
+
+
 def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: list[NearMiss]) -> RawMesh:
     """The mesh of a ``network`` by Gmsh."""
     domain, sides = np.asarray(geometry.domain, dtype=float), side_names(np.asarray(geometry.domain, dtype=float))
@@ -136,11 +142,13 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
         "size": coarser * float(geometry.size),
         "sources": [(coarser * size, size / 2, places.tolist()) for size, places in around if size < geometry.size],
         "growth": coarser * float(geometry.growth),
-        "quads": is_quads,
+        "right_angled": is_quads,
         "rock": geometry.rock,
     }
-    elements = run_worker(job, "geometry")
-    raw = interpret(all_quads(elements) if is_quads else elements, [name for name, _ in geometry.traces], "geometry")
+    raw = _cells_of(job, geometry)
+    if is_quads and worst_cells(raw.points, raw.cells)["cells over 150 degrees"] > BLUNT:
+        # where sizes grow steeply Gmsh now and then leaves off its right-angled triangles: few and long ones remain
+        raw = _cells_of(job | {"right_angled": False}, geometry)
     covered, whole = cell_areas(raw.points, raw.cells).sum(), polygon_area(domain)
     if abs(covered - whole) > SAME_AREA * whole:
         raise InputError(

@@ -30,7 +30,7 @@ def ridden_up(slip):
 
 
 def test_every_method_of_a_law_is_that_of_the_friction():
-    """One that were inherited would answer for a law without friction."""
+    """An inherited one would answer for a law without friction."""
     methods = {name for name, value in vars(JointLaw).items() if callable(value) and not name.startswith("_")}
     assert methods - vars(Dilatant).keys() == set()
 

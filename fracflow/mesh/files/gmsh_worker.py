@@ -173,7 +173,7 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     for name, lines in [*zip(job["sides"], round_it, strict=True), *zip(job["traces"], curves, strict=True)]:
         gmsh.model.addPhysicalGroup(1, lines, name=name)
     _set_sizes(job["size"] * scale, around, job["growth"])
-    gmsh.option.setNumber("Mesh.Algorithm", RIGHT_ANGLED if job["quads"] else FRONTAL)
+    gmsh.option.setNumber("Mesh.Algorithm", RIGHT_ANGLED if job["right_angled"] else FRONTAL)
     gmsh.model.mesh.generate(2)
     _stop_on_errors()
     arrays = dump()

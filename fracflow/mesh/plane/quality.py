@@ -6,6 +6,8 @@ import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
 
+BLUNT = 0.1  # share of cells with a corner over 150 degrees from which on a mesh is spoilt: sound ones have up to 0.05
+
 
 def cell_areas(points: Floats, cells: Ints) -> Floats:
     """Area (m,) of padded cells (m, k), positive if they turn counter-clockwise [length**2]."""

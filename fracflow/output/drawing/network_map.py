@@ -138,17 +138,8 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
         if places:
             marker, colour, size = _LOOKS[kind]
             at = scaled(np.array(list(places.values())), x, y).T
-            axes.plot(
-                *at,
-                marker,
-                ms=size,
-                mfc=colour,
-                mec=INK,
-                mew=0.9,
-                ls="",
-                zorder=6 - 0.1 * (kind == "slipped first"),
-                label=kind,
-            )
+            level = 5.9 if kind == "slipped first" else 6.0  # below wells and probes
+            axes.plot(*at, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=level, label=kind)
     axes.autoscale_view()
     axes.margins(0.03)
     if network.window is not None:
