@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from fracflow.advance.slip_rate import creeps, slip_of_states
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.setup import Model
 from fracflow.model.state import Sections, State, StepReport
+from fracflow.records import dataclass
 from fracflow.scene.materials import Rock
 
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport, Work
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
+from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus, shear_mo
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components, distances
 from fracflow.model.properties import initial_pressure, initial_stress
+from fracflow.records import dataclass
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 

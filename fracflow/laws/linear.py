@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from fracflow.laws.base import (
     per_section,
     per_tangent,
 )
+from fracflow.records import dataclass
 
 
 @dataclass(frozen=True, eq=False)

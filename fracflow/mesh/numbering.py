@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +13,7 @@ from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBloc
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.locate import representatives
 from fracflow.mesh.share import Share
+from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

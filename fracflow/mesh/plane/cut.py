@@ -9,12 +9,13 @@ else, at each cut.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fracflow.mesh.data import Ints
 from fracflow.mesh.share import Edges, Share
+from fracflow.records import dataclass
 
 Pair = tuple[int, int]
 

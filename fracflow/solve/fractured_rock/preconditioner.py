@@ -12,7 +12,6 @@ size, however small or large those of the flow are.
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +22,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, rows_of
+from fracflow.records import dataclass
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
 from fracflow.solve.fractured_rock.small_system import SmallSystem
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
