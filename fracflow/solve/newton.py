@@ -14,6 +14,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, SolveError, StatusCycling, Unsolved
 from fracflow.laws.base import Bools
+from fracflow.laws.closure import STEP_FRACTION
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
 from fracflow.solve.failure import CIRCLES, FLOATING, check_step, describe_failure, describe_floating, why_stopped
@@ -263,7 +264,7 @@ class Newton:
             raise
         strains, fraction = self._strains(step)
         is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
-        if fraction < 1.0 and is_coupled and not self._is_held:
+        if is_coupled and not self._is_held and (fraction < 1.0 or self._changes(problem, strains, -STEP_FRACTION)):
             newton = step.copy(), strains, fraction
             try:
                 self._hold_conductances(problem, step)
@@ -274,7 +275,7 @@ class Newton:
                     self._is_held = False
             finally:
                 newton[0].destroy()
-        self._is_held = self._is_held and self._widens(problem, strains)
+        self._is_held = self._is_held and self._changes(problem, strains, 1.0)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -314,15 +315,14 @@ class Newton:
         self._krylov += self.factors.check(self.balance, step)
         check_step(self.solver, step, self.balance, problem, self.prefix)
 
-    def _widens(self, problem: StepProblem, strains: Floats) -> bool:
-        """Whether a step with these strains (s, dim) widens a closed joint by its own aperture. Collective."""
+    def _changes(self, problem: StepProblem, strains: Floats, share: float) -> bool:
+        """Whether strains (s, dim) widen a joint in contact by that share of its aperture; below 0, close it. Collective."""
         joints, sections = self.matrix.operators.joints, problem.sections
         now, change = joints.openings(sections.strain), joints.openings(strains * ~sections.is_open[:, None])
-        here = (
-            now is not None
-            and change is not None
-            and bool(np.any(change > self.matrix.operators.network.aperture + now))
-        )
+        here = False
+        if now is not None and change is not None:
+            wide = self.matrix.operators.network.aperture + now
+            here = bool(np.any(change > share * wide if share > 0.0 else (change < share * wide) & (wide > 0.0)))
         return bool(self.matrix.layout.comm.allreduce(here, op=MPI.LOR))
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:

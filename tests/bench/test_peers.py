@@ -76,8 +76,9 @@ def test_ratios_are_taken_at_equal_errors():
             for error, seconds in points
         ]  # fmt: skip
 
-    assert [check.ok for check in peers.checks_of(rows(6.0))] == [True]
-    assert [check.ok for check in peers.checks_of(rows(4.0))] == [False]
+    assert [check.ok for check in peers.checks_of(rows(6.0))] == [True, True]  # at 6 and at 600 s
+    assert [check.ok for check in peers.checks_of(rows(1.5))] == [True, False]  # at 1.5 and at 150 s
+    assert [check.ok for check in peers.checks_of(rows(0.5))] == [False]  # 50 s; half a second is not asked about
     assert [check.ok for check in peers.checks_of(rows(6.0)[:2])] == [False]  # a peer that is not there is not shown
 
 

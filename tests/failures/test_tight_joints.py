@@ -69,6 +69,17 @@ def test_jumps_of_a_megapascal_need_no_halving(shared_tmp):
     assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
 
 
+def test_a_front_does_not_close_the_springs_that_it_opens(shared_tmp):
+    """Springs close without end, so that no bound of the law stops an iteration that shuts the film before the front."""
+    springs = {"normal_stiffness": 20e9, "shear_stiffness": 20e9, "aperture": 10e-6, "law": "linear"}
+    scene = Scene.from_data(SCENE | {"fracture": {"fault": springs}}, shared_tmp / "scene.toml")
+    run(scene, shared_tmp / "run", MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    found = read_history(shared_tmp / "run" / "history.h5")
+    assert len(found["time"]) == 9 and not found["step/rejected"].any()
+    assert found["step/newton"].max() <= 25
+
+
 @pytest.mark.serial
 def test_random_tight_joints_end_right(tmp_path):
     """One that lifts off, crossings whose walls part seventyfold in a step."""
