@@ -58,7 +58,7 @@ def _sizes(kind: str, *cells: int) -> list[tuple[Any, ...]]:
     return [(n, kind) for n in cells]
 
 
-UNIFORM, GRADED = _sizes("uniform", 10, 20, 40, 100), _sizes("graded", 4, 12, 20, 28, 40, 56, 80)
+UNIFORM, GRADED = _sizes("uniform", 10, 20, 40, 100), _sizes("graded", 4, 12, 20, 28, 40, 56, 88)
 FEW = [(n, steps, "graded") for n, steps in ((30, 10), (50, 16), (70, 25), (100, 40), (160, 60))]
 MANY = [(n, steps, "graded") for n, steps in ((25, 20), (40, 50), (60, 100), (100, 200))]
 SQUARE = [(n, n, "uniform") for n in (25, 50, 100)]
