@@ -19,7 +19,7 @@ from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.balance import static_balance_of
-from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
+from fracflow.model.compressibility import DENSEST, compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import MotionValues, Sections, State, Work
@@ -364,9 +364,13 @@ class StepProblem:
         at_nodes = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), at_nodes, noise, least)
         if not np.isfinite(solid + flow):
-            raise NotConverged(
-                f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite"
-            )
+            raise self._not_finite()
+
+    def _not_finite(self) -> NotConverged:
+        """The refusal of a trial that has no finite balance. Collective."""
+        return NotConverged(
+            f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite"
+        )
 
     def unaccounted(self) -> float:
         """Energy that the imbalance of the flow adds in this step, over the largest of the energy balance. Collective.
@@ -393,16 +397,19 @@ class StepProblem:
         return self.loads.summed.without_sums(left, self.alphas.a1 / self.flow_scale())
 
     def flow_scale(self) -> float:
-        """Size of a volume rate, by which rows of the flow are divided. Collective."""
+        """Size of a volume rate, by which rows of the flow are divided. Raises NotConverged if there is none. Collective."""
         if self.conduction is None:
             return 1.0
         if self._scale is None:
             stored, scales = self.conduction.compression, self.operators.scales
             held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
-            here = [float(self.conduction.conductance.max(initial=0.0)), held]
-            conducts, holds = over_ranks(here, self.operators.layout.comm)
+            dense = self.operators.network.compressibility * float(self.conduction.pressure.max(initial=0.0))
+            here = [float(self.conduction.conductance.max(initial=0.0)), held, dense]
+            conducts, holds, dense = over_ranks(here, self.operators.layout.comm)
             scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
             scale = max(scale, self.alphas.b1 * holds * scales.pressure)
+            if not (np.isfinite(scale) and dense <= DENSEST):
+                raise self._not_finite()
             self._scale = 2.0 ** round(math.log2(scale)) if scale > 0.0 else 1.0
         return self._scale
 

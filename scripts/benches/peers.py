@@ -64,7 +64,7 @@ MANY = [(n, steps, "graded") for n, steps in ((25, 20), (40, 50), (60, 100), (10
 SQUARE = [(n, n, "uniform") for n in (25, 50, 100)]
 CURVES = (
     Curve("h1", OURS, "uniform", h1, UNIFORM, "s"),
-    Curve("h1", OURS, "graded to the tips", h1, GRADED, "o"),
+    Curve("h1", OURS, "graded to the tips", h1, [*GRADED, (96, "graded")], "o"),
     Curve("h1", THEIRS, "uniform", h1, UNIFORM, "s"),
     Curve("h1", THEIRS, "uniform, 8-node", h1, UNIFORM, "D", {"order": 2}),
     Curve("h1", THEIRS, "graded, ILUT", h1, GRADED, "v", ILUT),

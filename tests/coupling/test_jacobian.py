@@ -61,6 +61,23 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     problem.destroy()
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("exponent", [200.0, 1e6])
+def test_a_trial_under_absurd_pressure_is_refused_by_name(exponent):
+    """Newton's method may ask for it: densities overflow there, or their squares do."""
+    scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    request = StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads)
+    problem = StepProblem(
+        prepared.operators, equilibrium_state(prepared), request, StepRule(BackwardEuler().alphas(1e-3))
+    )
+    problem.pressure.set(exponent * 1e6)
+    with pytest.raises(NotConverged, match=r"/compressibility, which must be at most 100"):
+        problem.evaluate()
+        problem.flow_scale()
+    problem.destroy()
+
+
 def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
     """Walls move by random amounts: slips of either sign change the flow, along joints that are turned too."""
     monkeypatch.setitem(FLOW_LAWS, "exact", OpensBySlip)
