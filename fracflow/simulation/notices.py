@@ -24,6 +24,7 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
+LEAST_OVERLAP = 1e-6  # of the aperture at rest: less is round-off of one that is shut
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
 CHANGED = 0.5  # relative change of the predicted contraction from which on it is reported again
 TURNING = 1e-4  # of the work of friction: 0.05 where slip is off by a quarter, none where steps resolve the motion
@@ -60,6 +61,9 @@ class Notices:
             self._doubt(line)
         if self._scene.has_flow and not totals.sucked and (line := suction_line(self._model, state)):
             totals.sucked = 1  # once: no fluid holds together below zero
+            self._doubt(line)
+        if self._scene.has_flow and not totals.overlapped and (line := overlap_line(self._model, state)):
+            totals.overlapped = 1
             self._doubt(line)
         if self._scene.stage[step.stage].kind in ("steady", "quasi-static") and not totals.fast_slip:
             self._fast_slip(state)
@@ -240,6 +244,33 @@ def suction_line(model: Model, state: State) -> str:
         f"{time}: the pressure in {name} at {at}{lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
         " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
+    )
+
+
+def overlap_line(model: Model, state: State) -> str:
+    """A line on the place where walls have closed the farthest beyond their aperture; empty where none have. Collective.
+
+    Springs let them: a law that closes along a hyperbola does not.
+    """
+    scene, network, blocks = model.scene, model.operators.flow, model.operators.blocks
+    if network is None:
+        return ""
+    opening = model.operators.joints.openings(state.sections.strain)
+    wide = network.apertures(state.motion.displacement, opening)
+    joints, wide = blocks.joints, np.where(np.isnan(network.given)[:, None], wide, np.inf)
+    here = (0.0, "", 0.0, 0.0)
+    if wide.size and np.any(beyond := wide < -LEAST_OVERLAP * network.aperture):
+        joint, end = np.unravel_index(int(np.where(beyond, wide, 0.0).argmin()), wide.shape)
+        x, y = blocks.solid.points[joints.bottom[joint, end]][:2]
+        here = (float(wide[joint, end]), joints.fractures[joints.fracture[joint]], float(x), float(y))
+    least, name, x, y = min(blocks.comm.allgather(here))
+    if not name:
+        return ""
+    at, unit = place_text((x, y), extent_of(blocks.solid.points)), scene.unit_system.behind(LENGTH)
+    return (
+        f"time {scene.time_text(state.time)}: walls of {name} at {at}{unit} close by {-least:.3g}{unit} more than their"
+        " aperture: springs let them, but walls do not pass through each other: later openings and flows are wrong there;"
+        " take a law that closes along a hyperbola, or give a wider aperture, or a larger normal_stiffness"
     )
 
 
