@@ -94,7 +94,7 @@ class FarSides:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where cells are cut on the ranks.
+    """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where ranks cut cells, or took slices.
 
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out

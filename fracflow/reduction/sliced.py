@@ -11,9 +11,7 @@ from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.read import SPLIT
 from fracflow.mesh.slabs import Distributed
 from fracflow.mesh.slices.gathering import sliced_parts, with_rest
-from fracflow.mesh.slices.near_first import with_near_first
 from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
-from fracflow.mesh.slices.shares import distribute_slices
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, Placed, made_ready, on_root, place, places_of
 from fracflow.scene.scene import Scene
@@ -47,6 +45,9 @@ def in_slices(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> tuple[SplitMes
     saved = comm.bcast(on_root(comm, lambda: _saved(scene, comm, kept)), root=0)
     if saved is None:
         return None
+    from fracflow.mesh.slices.near_first import with_near_first  # few runs need it
+    from fracflow.mesh.slices.shares import distribute_slices
+
     raw = read(comm, saved)
     asked = comm.bcast(on_root(comm, partial(_asked, scene, raw.frame)), root=0)
     found = with_near_first(raw, *asked)

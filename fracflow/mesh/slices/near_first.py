@@ -21,11 +21,15 @@ from fracflow.storage.sealed import AGAIN
 class Slices:
     """Cells of this rank and a slab of nodes, in numbers by which the near ones come first.
 
-    nodes       who keeps which numbers of nodes
-    total       how many cells there are, of which ``near`` come first
-    number (m,) of each cell here; cells (m, c) their nodes, -1 pads; cell_rock (m,)
-    middle      (m, dim) mean of the corners; of a cell at a joint, the middle of the joint
-    points      (s, dim) of the nodes of the slab; origin (s,) of each
+    nodes      who keeps which numbers of nodes
+    total      how many cells there are
+    near       how many of them come first
+    number     (m,) of each cell here
+    cells      (m, c) their nodes, -1 pads
+    cell_rock  (m,) of each
+    middle     (m, dim) mean of the corners; of a cell at a joint, the middle of the joint [length]
+    points     (s, dim) of the nodes of the slab [length]
+    origin     (s,) of each
     """
 
     nodes: Directory

@@ -15,6 +15,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.slices.directory import Directory, Values
 from fracflow.mesh.store import SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
@@ -57,15 +58,18 @@ def slices_of(path: Path, ranks: int, root: str | None = None) -> SavedMesh | No
 class Raw:
     """The part of a mesh that a rank has read, in the numbers of the file.
 
-    saved               where it was read from
-    cells, nodes        who keeps which numbers
-    cell (m, c)         nodes of the cells of this rank's slab, -1 pads; rock (m,) of each
-    points (s, dim)     of the nodes of its slab; origin (s,) of each
-    corner (u,)         nodes of its cells, ascending
-    local (m, c)        places of the cells' nodes among these, -1 pads
-    corner_points       (u, dim)
-    frame               on rank 0, a mesh without cells: joints, sides and places, on the nodes that these need
-    frame_node (f,)     their numbers, ascending; none on other ranks. Numbers of cells are those of the file
+    saved          where it was read from
+    cells          who keeps which numbers of cells
+    nodes          the same of nodes
+    cell           (m, c) nodes of the cells of this rank's slab, -1 pads
+    rock           (m,) of each
+    points         (s, dim) of the nodes of its slab [length]
+    origin         (s,) of each
+    corner         (u,) nodes of its cells, ascending
+    local          (m, c) places of the cells' nodes among these, -1 pads
+    corner_points  (u, dim) [length]
+    frame          on rank 0, a mesh without cells: joints, sides and places, on the nodes that these need
+    frame_node     (f,) their numbers, ascending; none on other ranks. Numbers of cells are those of the file
     """
 
     saved: SavedMesh
@@ -139,7 +143,9 @@ def _slab(comm: MPI.Comm, file: SlicedFile | None, name: str, kind: str, shape: 
     found = np.empty((part.last - part.first, *shape[1:]), dtype=np.float64 if name == "points" else np.int64)
     for first, last in slabs_of(np.dtype(kind), shape):
         rows = agreed(comm, partial(_rows, file, name, first, last))
-        for rank, (start, end) in enumerate(zip(part.starts[:-1].tolist(), part.starts[1:].tolist(), strict=True)):
+        lowest, highest = owner_of(part.starts, np.array([first, last - 1])).tolist()
+        for rank in range(lowest, highest + 1):
+            start, end = (int(each) for each in part.starts[rank : rank + 2])
             low, high = max(first, start), min(last, end)
             if low >= high:
                 continue
