@@ -14,6 +14,7 @@ from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import outer_besides
 from fracflow.mesh.places import extent_of, place_text
+from fracflow.mesh.slices.gathering import gathered
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
@@ -221,10 +222,12 @@ def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
     there = block.points[np.setdiff1d(nodes, named)[:1]]
     spots = np.concatenate(comm.allgather(there))
 
+    known_mesh = gathered(model.mesh, model.operators.blocks) if len(spots) else None
+
     def unnamed() -> tuple[str, ...]:
-        if model.mesh is None or not len(spots):
+        if known_mesh is None:
             return ()
-        mesh = whole_mesh(model.mesh)  # of a scene that is refused, once
+        mesh = whole_mesh(known_mesh)  # of a scene that is refused, once
         known = np.concatenate([mesh.side_facets, mesh.joint_bottom, mesh.joint_top])
         outer = mesh.points[outer_besides(mesh.cells, known)].reshape(-1, spots.shape[1])
         on = spots[(spots[:, None] == outer).all(axis=2).any(axis=1)]

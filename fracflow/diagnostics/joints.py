@@ -13,6 +13,7 @@ from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus, shear_modulus
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components, distances
+from fracflow.mesh.whole import block_areas, rock_areas
 from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.records import dataclass
 from fracflow.scene.profiles import sample
@@ -234,12 +235,12 @@ def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats
     wall = np.broadcast_to(0.5 * length[:, None, None], faces.shape)
     of_wall = np.bincount(faces.ravel(), wall.ravel(), count)
     per_length = np.divide(at_node, of_wall, out=np.zeros(count), where=of_wall > 0.0)[faces].mean(axis=2)
-    uncut = mesh.uncut
+    rock_area = rock_areas(mesh)
     for number in range(len(mesh.rocks)):
         inside = mesh.cell_rock == number
         if inside.any() and rigid[inside].all():
             sides = mesh.cell_rock[mesh.joint_cells] == number
-            whole = density[inside][0] * _areas(uncut)[uncut.cell_rock == number].sum()
+            whole = density[inside][0] * rock_area[number]
             per_length[sides] = whole / max(float((length[:, None] * sides).sum()), 1e-300)
     return per_length
 
@@ -255,14 +256,10 @@ def _depths(mesh: SplitMesh, length: Floats) -> Floats:
     """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any, or no cells."""
     if is_unmeshed(mesh.cells):
         return np.full(len(mesh.cells), np.inf)
-    uncut, parent = mesh.uncut, np.arange(len(mesh.cells)) // mesh.children  # cuts change neither blocks nor areas
-    first = uncut.cells[:, 0]
-    cell, corner = np.nonzero(uncut.cells[:, 1:] >= 0)
-    block = components(first[cell], uncut.cells[cell, 1 + corner], len(uncut.points))[first]
-    area = np.bincount(block, _areas(uncut))
-    along = np.bincount(block[parent[mesh.joint_cells]].ravel(), np.repeat(length, 2), len(area))
+    block, area = block_areas(mesh)
+    along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth: Floats = (area / along)[block[parent]]
+        depth: Floats = (area / along)[block]
     return depth
 
 

@@ -43,6 +43,26 @@ class RawMesh:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """Sums over all cells of a mesh of which rank 0 has the near ones alone.
+
+    cells       how many there are
+    piece       (n,) block of rock of each node on near cells: what no joint cuts
+    piece_area  (p,) of each block [length**2]
+    piece_rock  (p,) index into the rocks
+    rock_area   (r,) of each rock [length**2]
+    blunt       share of cells with a corner over 150 degrees
+    """
+
+    cells: int
+    piece: Ints
+    piece_area: Floats
+    piece_rock: Ints
+    rock_area: Floats
+    blunt: float
+
+
+@dataclass(frozen=True)
 class SplitMesh:
     """The mesh with fractures split into zero-thickness joints, and the network of flow elements on them.
 
@@ -65,6 +85,7 @@ class SplitMesh:
     cuts           how often each cell is cut in four once it is on its rank
     near           how many cells come first, with all that is on them; -1 where all do. See ``mesh.near_cells``
     coarse         the mesh, with ``cuts``, that this one was made from; None where none was
+    rest           of a mesh that has the near cells alone and no ``coarse``; see ``mesh.slices``
     """
 
     points: Floats
@@ -89,6 +110,7 @@ class SplitMesh:
     cuts: int = 0
     near: int = -1
     coarse: SplitMesh | None = None
+    rest: Rest | None = None
 
     @property
     def uncut(self) -> SplitMesh:

@@ -176,13 +176,19 @@ def point_along(mesh: SplitMesh, fracture: str, distance: float, what: str, unit
 
 def covering(points: Floats, cells: Ints, point: Floats) -> int | None:
     """The one of counter-clockwise cells (m, k) that a point (dim,) lies in, up to round-off; None where there is none."""
+    found, depth = all_covering(points, cells, point, float(np.ptp(points, axis=0).max()))
+    return int(found[np.argmax(depth)]) if len(found) else None
+
+
+def all_covering(points: Floats, cells: Ints, point: Floats, extent: float) -> tuple[Ints, Floats]:
+    """All such cells (n,) of a mesh of an ``extent``, and how deep (n,) the point lies in each [length**2]."""
     corners = points[np.where(cells < 0, cells[:, :1], cells)]
     sides = np.roll(corners, -1, axis=1) - corners
     away = point - corners
     turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
-    inside = np.all(turn >= -PLACE_ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)
+    inside = np.all(turn >= -PLACE_ROUND_OFF * extent * np.linalg.norm(sides, axis=2), axis=1)
     found = np.flatnonzero(inside)
-    return int(found[np.argmax(turn[found].min(axis=1))]) if len(found) else None
+    return found, turn[found].min(axis=1)
 
 
 def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:

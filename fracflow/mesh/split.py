@@ -234,20 +234,6 @@ def groups(mesh: SplitMesh) -> Ints:
     return components(fracture, count + mesh.joint_flow.ravel(), count + len(mesh.flow_origin))[:count]
 
 
-def parts(mesh: SplitMesh, ties: Ints) -> Ints:
-    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component.
-
-    Rock that is not meshed is around all of them.
-    """
-    if is_unmeshed(mesh.cells):
-        return np.zeros(len(mesh.points), dtype=np.int64)
-    cell, corner = np.nonzero(mesh.cells >= 0)
-    tied = ties // mesh.points.shape[1]
-    first = np.concatenate([mesh.cells[cell, 0], mesh.joint_bottom.ravel(), tied[:, 0]])
-    second = np.concatenate([mesh.cells[cell, corner], mesh.joint_top.ravel(), tied[:, 1]])
-    return components(first, second, len(mesh.points))
-
-
 def ends_on_side(mesh: SplitMesh, side: str) -> Ints:
     """Flow nodes (n,) on a side: where fractures reach it."""
     nodes = np.unique(mesh.origin[mesh.side_facets[mesh.side_of == mesh.sides.index(side)]])

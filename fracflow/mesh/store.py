@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,20 +17,28 @@ from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import SplitMesh, is_unmeshed
 from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
-from fracflow.storage.sealed import AGAIN, SealedFile, read_sealed, write_sealed
+from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
+WRITE_ONE = "write one with: fracflow mesh SCENE -o NAME.h5"
+Shape = tuple[int, ...]
 MOST_CUTS = 12
+NOT_FIRST = "near is no number of cells that come first"
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _LATER = {"cuts": 0, "near": -1}
 _REALS = ("points", "joint_along")
-_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name != "coarse")
+_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name not in ("coarse", "rest"))
+SLICED = ("points", "origin", "cells", "cell_rock")
+"""Parts as long as the mesh has cells or nodes. All others are of joints and sides, or names."""
 
 
-def save_mesh(mesh: SplitMesh, path: Path) -> str:
-    """Write every part of a mesh, or of the coarse one it was made from, with its seal, and give the root of that."""
-    parts = {name: getattr(mesh.coarse or mesh, name) for name in _PARTS}
-    arrays = {name: value for name, value in parts.items() if isinstance(value, np.ndarray)}
+def save_mesh(mesh: SplitMesh, path: Path, sliced: Mapping[str, Slabs] | None = None) -> str:
+    """Write every part of a mesh, or of the coarse one it was made from, with its seal, and give the root of that.
+
+    sliced  the parts SLICED, of a mesh that has the near cells alone
+    """
+    parts = {name: getattr(mesh.coarse or mesh, name) for name in _PARTS} | dict(sliced or {})
+    arrays = {name: value for name, value in parts.items() if isinstance(value, (np.ndarray, Slabs))}
     texts = {name: json.dumps(value, ensure_ascii=False) for name, value in parts.items() if name not in arrays}
     return write_sealed(path, arrays, texts)
 
@@ -47,13 +56,80 @@ def load_split(path: Path) -> SplitMesh:
 
     Raises InputError also where wells of its scene have made several ends of fractures one flow node.
     """
-    remedy = "write one with: fracflow mesh SCENE -o NAME.h5"
-    mesh = _read(path, remedy)
+    mesh = _read(path, WRITE_ONE)
     if is_unmeshed(mesh.cells) or mesh.points.shape[1] != 2:
-        raise InputError(f"{path}: is no mesh of plane rock; {remedy}")
-    if len(mesh.flow_origin) < len(np.unique(mesh.origin[mesh.joint_bottom])):
-        raise InputError(f"{path}: a well has joined ends of fractures in it; {remedy}")
+        raise no_plane_rock(path)
+    refuse_joined_ends(mesh, path)
     return replace(mesh, cuts=0, near=-1)
+
+
+def no_plane_rock(path: Path) -> InputError:
+    """The error of a saved mesh that another scene cannot take."""
+    return InputError(f"{path}: is no mesh of plane rock; {WRITE_ONE}")
+
+
+def refuse_joined_ends(mesh: SplitMesh, path: Path) -> None:
+    """Raise InputError where wells have made several ends of fractures one flow node."""
+    if len(mesh.flow_origin) < len(np.unique(mesh.origin[mesh.joint_bottom])):
+        raise InputError(f"{path}: a well has joined ends of fractures in it; {WRITE_ONE}")
+
+
+class SlicedFile:
+    """A saved mesh whose cells and nodes are read by slabs; all else is read at once, and checked.
+
+    tables  the mesh without a cell or a node; its numbers are those of the file
+    layout  types and shapes of the parts SLICED
+    """
+
+    def __init__(self, path: Path, root: str, remedy: str) -> None:
+        """With the ``root`` of its seal where that is known. Raises InputError."""
+        self.path, self._remedy = path, remedy
+        self._file = SealedFile(path, _NO_MESH, remedy, root)
+        others = [name for name in _PARTS if name not in SLICED]
+        found = read_sealed(path, _NO_MESH, others, remedy, self._file.place[1])
+        with self._refusing():
+            self.layout = {name: self._file.layout[name] for name in SLICED}
+            parts: dict[str, Any] = {name: _part(found.arrays, found.notes, name) for name in others}
+            parts |= {name: np.zeros((0, *shape[1:]), kind) for name, (kind, shape) in self.layout.items()}
+            self.tables = SplitMesh(**parts)
+            lengths = self.layout["points"][1], self.layout["cells"][1]
+            _check_names(self.tables, *lengths)
+            self._bounds = _bounds(self.tables, *lengths)
+            for name, (shape, below) in self._bounds.items():
+                if name in SLICED:
+                    _check_shape(name, self.layout[name][1], shape)
+                else:
+                    _check_values(name, getattr(self.tables, name), shape, below)
+
+    def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
+        """Rows (n, ...) of a part, of whole pieces, as they were sealed, in numbers of 8 bytes. Raises InputError."""
+        values = self._file.rows(name, first, last)
+        with self._refusing():
+            shape, below = self._bounds[name]
+            _check_values(name, values, (last - first, *shape[1:]), below)
+        return values.astype(np.float64 if name in _REALS else np.int64, copy=False)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{self.path}: {_NO_MESH} ({error}); {self._remedy}") from None
+
+
+def cells_of(path: Path, remedy: str) -> tuple[int, int]:
+    """Numbers of cells of a saved mesh of plane rock, and of those that come first; 0 of another mesh, -1 where cells are cut.
+
+    Raises InputError where it is no saved mesh.
+    """
+    file = SealedFile(path, _NO_MESH, remedy)
+    (_, cells), (_, points) = (file.layout.get(name, ("", ())) for name in ("cells", "points"))
+    is_plane = len(cells) == 2 and cells[1] > 2 and points[1:] == (2,)
+    try:
+        near, cuts = (json.loads(str(file.notes.get(name, later))) for name, later in (("near", -1), ("cuts", 0)))
+    except ValueError:
+        near, cuts = -1, 0
+    return (cells[0] if is_plane else 0), near if cuts == 0 and type(near) is int else -1
 
 
 def _read(path: Path, remedy: str, root: str = "") -> SplitMesh:
@@ -96,48 +172,70 @@ def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: st
 
 def _check(mesh: SplitMesh) -> None:
     """Raise ValueError for parts that point to what there is not; others may have made the file."""
-    if np.ndim(mesh.points) != 2 or mesh.points.shape[1] not in (2, 3):
+    lengths = np.shape(mesh.points), np.shape(mesh.cells)
+    _check_names(mesh, *lengths)
+    for name, (shape, below) in _bounds(mesh, *lengths).items():
+        _check_values(name, getattr(mesh, name), shape, below)
+    if not has_near_first(mesh):
+        raise ValueError(NOT_FIRST)
+
+
+def _check_names(mesh: SplitMesh, points: Shape, cells: Shape) -> None:
+    """The same of names and counts, of a mesh with points and cells of these shapes."""
+    if len(points) != 2 or points[1] not in (2, 3):
         raise ValueError("points are no points")
     for name in _TEXTS:
         if not isinstance(value := getattr(mesh, name), tuple) or not all(isinstance(each, str) for each in value):
             raise ValueError(f"{name} are no names")
         if any(steers(each) for each in value):
             raise ValueError(f"{name}: control characters in a name")
-    nodes, dim = mesh.points.shape
-    tables = (mesh.cells, mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
-    cells, joints, flows, facets = (len(np.atleast_1d(table)) for table in tables)
+    if type(mesh.cuts) is not int or not 0 <= mesh.cuts <= MOST_CUTS:
+        raise ValueError("cuts are no number of cuts")
+    if type(mesh.near) is not int or not -1 <= mesh.near <= (cells[0] if cells else 0):
+        raise ValueError(NOT_FIRST)
+    named = mesh.named_points
+    if not isinstance(named, dict) or not all(type(at) is int and 0 <= at < points[0] for at in named.values()):
+        raise ValueError("named_points has numbers of no nodes")
+
+
+def _bounds(mesh: SplitMesh, points: Shape, cells: Shape) -> dict[str, tuple[Shape, int]]:
+    """Shape of each array of a mesh with points and cells of these shapes, and what each of its numbers is below."""
+    nodes, dim = points
+    count, columns = cells[0] if cells else 0, cells[1] if len(cells) == 2 else 0
+    joints, flows, facets = (
+        len(np.atleast_1d(table)) for table in (mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
+    )
     width = 2 if dim == 2 or np.ndim(mesh.joint_bottom) != 2 else max(3, min(mesh.joint_bottom.shape[1], 4))
-    columns = mesh.cells.shape[1] if np.ndim(mesh.cells) == 2 else 0
-    shapes: dict[str, tuple[tuple[int, ...], int]] = {  # shape, and what each number is below
+    return {
+        "points": ((nodes, dim), 0),
         "origin": ((nodes,), nodes),
-        "cells": ((cells, columns), nodes),
-        "cell_rock": ((cells,), len(mesh.rocks)),
+        "cells": ((count, columns), nodes),
+        "cell_rock": ((count,), len(mesh.rocks)),
         "joint_bottom": ((joints, width), nodes),
         "joint_top": ((joints, width), nodes),
-        "joint_cells": ((joints, 2), cells),
+        "joint_cells": ((joints, 2), count),
         "joint_flow": ((joints, width), flows),
         "joint_fracture": ((joints,), len(mesh.fractures)),
         "joint_along": ((joints, width), 0),
         "flow_origin": ((flows,), nodes),
         "side_facets": ((facets, width), nodes),
-        "side_cell": ((facets,), cells),
+        "side_cell": ((facets,), count),
         "side_of": ((facets,), len(mesh.sides)),
     }
-    for name, (shape, below) in shapes.items():
-        values = getattr(mesh, name)
-        if not isinstance(values, np.ndarray) or values.shape != shape:
-            raise ValueError(f"{name} has the shape {np.shape(values)}, not {shape}")
-        least = -1 if name == "cells" else 0  # which -1 pads
-        fits = values.dtype.kind == "i" and (not values.size or least <= values.min() <= values.max() < below)
-        if name not in _REALS and not fits:
-            raise ValueError(f"{name} has numbers that are not from {least} to {below - 1}")
-    for name in _REALS:
-        if getattr(mesh, name).dtype.kind != "f" or not np.isfinite(getattr(mesh, name)).all():
+
+
+def _check_shape(name: str, found: Shape, shape: Shape) -> None:
+    if found != shape:
+        raise ValueError(f"{name} has the shape {found}, not {shape}")
+
+
+def _check_values(name: str, values: Any, shape: Shape, below: int) -> None:
+    """Raise ValueError for an array (...) of another shape, or with values that a mesh does not have."""
+    _check_shape(name, np.shape(values) if isinstance(values, np.ndarray) else (), shape)
+    if name in _REALS:
+        if values.dtype.kind != "f" or not np.isfinite(values).all():
             raise ValueError(f"{name} has values that are no numbers")
-    if type(mesh.cuts) is not int or not 0 <= mesh.cuts <= MOST_CUTS:
-        raise ValueError("cuts are no number of cuts")
-    if type(mesh.near) is not int or not -1 <= mesh.near <= cells or not has_near_first(mesh):
-        raise ValueError("near is no number of cells that come first")
-    points = mesh.named_points
-    if not isinstance(points, dict) or not all(type(at) is int and 0 <= at < nodes for at in points.values()):
-        raise ValueError("named_points has numbers of no nodes")
+        return
+    least = -1 if name == "cells" else 0  # which -1 pads
+    if values.dtype.kind != "i" or (values.size and not least <= values.min() <= values.max() < below):
+        raise ValueError(f"{name} has numbers that are not from {least} to {below - 1}")

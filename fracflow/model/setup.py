@@ -95,7 +95,7 @@ class FarSides:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where cells are cut on the ranks.
+    """A scene made ready: ``mesh`` is on rank 0 only, and has its near cells alone where ranks cut cells, or took slices.
 
     stated   the scene as its file has it but for sides that are left out, where ``scene`` is a reduced one
     bounded  the scene as its file has it, where its sides are left out
@@ -207,6 +207,11 @@ def made_ready(scene: Scene, mesh: SplitMesh) -> SplitMesh:
 
 def looked_at(scene: Scene, mesh: SplitMesh) -> Bools:
     """Cells (m,) of a mesh that must be on rank 0 to find the scene's places, and to check it."""
+    return near_cells(mesh, *places_of(scene, mesh))
+
+
+def places_of(scene: Scene, mesh: SplitMesh) -> tuple[Floats, set[str]]:
+    """Places (p, dim) whose cells that takes, and names of rocks of which it takes all, beside sides; no cell is looked at."""
     places = []
     for probe in scene.probe:
         with suppress(InputError):  # raised again where it is placed
@@ -215,7 +220,7 @@ def looked_at(scene: Scene, mesh: SplitMesh) -> Bools:
     held = {name for support in scene.support for name in support.on} | {
         name for term in scene.terms for name in term.on
     }
-    return near_cells(mesh, np.array(places).reshape(-1, mesh.points.shape[1]), held)
+    return np.array(places).reshape(-1, mesh.points.shape[1]), held
 
 
 def fitting(scene: Scene, mesh: SplitMesh) -> SplitMesh:
@@ -413,15 +418,18 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[i
 
 
 def set_up(
-    scene: Scene, comm: MPI.Comm, mesh: SplitMesh | None, placed: Placed, cell_rank: Ints | None = None
-) -> Model:
+    scene: Scene, comm: MPI.Comm, mesh: SplitMesh | None, placed: Placed, cell_rank: Ints | None = None,
+    blocks: Blocks | None = None,
+) -> Model:  # fmt: skip
     """Blocks, operators and loads of a scene whose sizes are known. Raises InputError, on every rank. Collective.
 
     mesh       on rank 0
     placed     where the scene's names sit on it
     cell_rank  ranks (cells,) of the cells, as they are before they are cut, in an earlier run, on rank 0
+    blocks     of a mesh that is distributed already
     """
-    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
+    rigid = [name for name, rock in scene.rock.items() if rock.rigid]
+    blocks = blocks or distribute(mesh, comm, rigid, placed.ties, cell_rank)
     operators = with_terms(assemble(blocks, scene), scene)
     numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,21 +29,35 @@ from fracflow.storage.sealed import Slabs, whole
 Data = dict[str, NDArray[Any]]
 
 
-@contextmanager
-def shown_rock(blocks: Blocks, mesh: SplitMesh | None) -> Iterator[tuple[Slabs, Slabs] | None]:
-    """Points (n, 3) and cells (m, k) of the rock for a ``FieldWriter`` on rank 0, None elsewhere. Collective.
+class ShownRock(NamedTuple):
+    """Points (n, 3) and cells (m, k) of the rock that fields show, and what else is asked for at once."""
 
-    mesh  of rank 0, of which there is a map where the rock is not meshed
+    points: Slabs
+    cells: Slabs
+    beside: Mapping[str, Slabs]
+
+
+@contextmanager
+def shown_rock(
+    blocks: Blocks, mesh: SplitMesh | None, beside: Mapping[str, Distributed] | None = None
+) -> Iterator[ShownRock | None]:
+    """Points and cells of the rock for a ``FieldWriter`` on rank 0, None elsewhere. Collective.
+
+    mesh    of rank 0, of which there is a map where the rock is not meshed
+    beside  other arrays that rank 0 needs
     """
     has_cells = not is_unmeshed(blocks.solid.cells)
-    with on_rank_0(blocks.comm, _geometry(blocks) if has_cells else {}) as found:
+    asked = dict(beside or {})
+    with on_rank_0(blocks.comm, (_geometry(blocks) if has_cells else {}) | asked) as found:
         if found is None or mesh is None:
             yield None
-        elif has_cells:
-            yield found["point/"], found["cell/"]
+            return
+        others = {name: found[name] for name in asked}
+        if has_cells:
+            yield ShownRock(found["point/"], found["cell/"], others)
         else:
             points, squares = map_cells(mesh)
-            yield whole(stored({"": points}, None)["point/"]), whole(squares)
+            yield ShownRock(whole(stored({"": points}, None)["point/"]), whole(squares), others)
 
 
 @contextmanager

@@ -18,13 +18,14 @@ import numpy as np
 
 from fracflow.elements import dislocation
 from fracflow.errors import ReductionInvalid
-from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
+from fracflow.mesh.data import Floats
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
 from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import Decision, ReductionInput, tolerance_of
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
+from fracflow.reduction.sliced import Kept, has_no_cells
 from fracflow.remarks import note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
@@ -254,11 +255,11 @@ def without_sides(scene: Scene) -> Scene:
     return scene.model_copy(update={"geometry": geometry, "support": (), "absorbing": ()})
 
 
-def is_left_out(found: FarSides | None, saved: SplitMesh | None, undone: Mapping[str, str]) -> bool:
+def is_left_out(found: FarSides | None, saved: Kept | None, undone: Mapping[str, str]) -> bool:
     """Whether sides are left out, on rank 0; the mesh of a run that goes on says so, as long as that is not undone."""
     if found is None or found.why or PART in undone:
         return False
-    return saved is None or is_unmeshed(saved.cells)
+    return saved is None or has_no_cells(saved)
 
 
 def decide_sides(facts: ReductionInput) -> Iterator[Decision]:

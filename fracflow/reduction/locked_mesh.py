@@ -8,19 +8,21 @@ from math import inf
 
 import numpy as np
 
-from fracflow.elements import facet, joint, solid
+from fracflow.elements import facet, joint
 from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.base import HELD
 from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.slices.gathering import gathered
 from fracflow.mesh.split import groups, merged_faces
+from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
-from fracflow.model.stress import deforms, elastic_moduli, per_cell, strain, stress_change, tensors
+from fracflow.model.stress import deforms, elastic_moduli, strain, stress_change, tensors
 from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
@@ -111,9 +113,8 @@ def _of_mesh(model: Model) -> Fractures | None:
     apart = np.full((len(nodes), count), inf)
     for row, distance in zip(apart, away, strict=True):
         np.minimum.at(row, fracture, distance[mesh.joint_flow].min(axis=1))
-    uncut = mesh.uncut
-    used = np.unique(uncut.cell_rock)
-    elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in used) if not rock.rigid]
+    areas = rock_areas(mesh)
+    elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in np.flatnonzero(areas)) if not rock.rigid]
     keys = ("youngs_modulus", "poissons_ratio", "density")
     young, poisson, density = (np.array([getattr(rock, key) or 0.0 for rock in elastic]) for key in keys)
     return Fractures(
@@ -122,7 +123,7 @@ def _of_mesh(model: Model) -> Fractures | None:
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
         held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
-        area=float(per_cell(uncut.cells, lambda _, corners: solid.area(uncut.points[corners])).sum()),
+        area=float(areas.sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float(plane_strain_modulus(young, poisson).max(initial=0.0)),
         impedance=float(np.sqrt(density * p_wave_modulus(young, poisson)).max(initial=0.0)),
@@ -161,7 +162,7 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
-    whole = model.mesh
+    whole = gathered(model.mesh, ops.blocks)
     mesh = on_root(comm, lambda: None if whole is None else near_mesh(merged_faces(whole.uncut, _chosen(whole, names))))
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()

@@ -12,10 +12,10 @@ from fracflow.diagnostics.joints import gather, rock_values
 from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.mesh.rock_cells import RockCells
+from fracflow.mesh.whole import rock_areas
 from fracflow.records import dataclass
 from fracflow.reduction.cell_growth import growth_beside, has_tip, of_stated, weakens
 from fracflow.remarks import note
@@ -205,7 +205,7 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
     typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
     yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
-    area = np.inf if is_unmeshed(mesh.cells) else float(cell_areas(mesh.uncut.points, mesh.uncut.cells).sum())
+    area = np.inf if is_unmeshed(mesh.cells) else float(rock_areas(mesh).sum())
     spacing = mean_spacing(area, float(joints.length.sum()))
     apart = np.full_like(joints.length, spacing / PER_SPACING)
     yield from need(f"spacing of fractures / {PER_SPACING}", apart, len(tipped) > 0)

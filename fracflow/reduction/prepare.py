@@ -9,11 +9,23 @@ from types import MappingProxyType
 from fracflow._petsc import MPI, PETSc, timed
 from fracflow.diagnostics.well_parts import unconnected_wells
 from fracflow.mesh.cut_mesh import whole_mesh
-from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
+from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.setup import Model, fitting, made_ready, naming, on_root, place, read_sized, set_up, split_of
+from fracflow.model.setup import (
+    Model,
+    Placed,
+    fitting,
+    made_ready,
+    naming,
+    on_root,
+    place,
+    read_sized,
+    set_up,
+    split_of,
+)
 from fracflow.reduction.far_sides import assessed, is_left_out, near_sides, without_sides
 from fracflow.reduction.mesh_size import proposed
+from fracflow.reduction.sliced import Kept, has_no_cells, in_slices, whole_of
 from fracflow.reduction.unresolved import unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults
@@ -64,7 +76,7 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
 def prepare(
     scene: Scene,
     comm: MPI.Comm,
-    saved: SplitMesh | None = None,
+    saved: Kept | None = None,
     cell_rank: Ints | None = None,
     begins: bool = True,
     undone: Mapping[str, str] = NONE,
@@ -80,7 +92,7 @@ def prepare(
         set_defaults(scene.petsc)
         sides = assessed(scene)
         if not comm.bcast(on_root(comm, lambda: is_left_out(sides, saved, undone)), root=0):
-            saved = saved if saved is None or is_unmeshed(saved.cells) == scene.is_unbounded else None
+            saved = saved if saved is None or has_no_cells(saved) == scene.is_unbounded else None
             return _with_note(replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides))
         model = _prepare(without_sides(scene), comm, saved, cell_rank, begins)
         return _with_note(replace(model, sides=sides, bounded=scene))
@@ -97,14 +109,19 @@ def _with_note(model: Model) -> Model:
     return replace(model, placed=replace(model.placed, notes=notes))
 
 
-def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
+def _on_root(scene: Scene, comm: MPI.Comm, saved: Kept | None) -> tuple[SplitMesh | None, Placed, None]:
+    """The mesh, on rank 0, and the scene's places. Raises InputError, on every rank. Collective."""
+    mesh = on_root(comm, lambda: fitting(scene, whole_of(saved)) if saved else read_sized(scene))
+    placed: Placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+    return mesh, placed, None
+
+
+def _prepare(scene: Scene, comm: MPI.Comm, saved: Kept | None, cell_rank: Ints | None, begins: bool) -> Model:
     scene = with_sizes(scene, comm)
-    mesh = on_root(comm, lambda: fitting(scene, saved) if saved else read_sized(scene))
-    placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
-    assert placed is not None
+    mesh, placed, blocks = in_slices(scene, comm, saved) or _on_root(scene, comm, saved)
     wells = placed.wells
     apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
-    model = set_up(scene, comm, mesh, replace(placed, apart=tuple(apart)), cell_rank)
+    model = set_up(scene, comm, mesh, replace(placed, apart=tuple(apart)), cell_rank, blocks)
     block = model.operators.blocks.solid
     coarse = unresolved(scene, mesh, wells, RockCells.of(block, block.cell_ids, comm)) if begins else []
     notes = (*scene.notes, *coarse, *apart, *model.placed.notes)

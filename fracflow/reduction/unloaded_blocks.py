@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.mesh.data import Bools, SplitMesh
+from fracflow.mesh.data import Bools, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.distribute import pieces_of_rock
+from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
-from fracflow.mesh.split import parts
 from fracflow.model.dirichlet import PrescribedValues, own
 from fracflow.model.setup import Model, on_root
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
@@ -48,9 +48,9 @@ def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
     scene, placed = model.scene, model.placed
     assert model.mesh is not None
     fine, mesh = model.mesh, model.mesh.uncut
-    is_uncut = placed.ties // mesh.points.shape[1] < near_nodes(mesh)
-    part = np.unique(parts(mesh, placed.ties[is_uncut.all(axis=1)]), return_inverse=True)[1].ravel()
-    count = int(part.max(initial=-1)) + 1
+    tied = placed.ties // mesh.points.shape[1]
+    part_of, piece = parts(mesh, tied[(tied < near_nodes(mesh)).all(axis=1)])
+    part, count = part_of[piece], int(part_of.max(initial=-1)) + 1
     none = np.zeros(0, dtype=bool)
     at_rest = scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
     if count < 2 or scene.model != "default" or not at_rest:
@@ -65,10 +65,24 @@ def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
     loaded[part[mesh.joint_bottom[np.flatnonzero(drives) // fine.pieces].ravel()]] = True
     if not loaded.any():  # the purpose of a run without loads is unknown
         return none, UnloadedBlocks(count, count)
-    piece, rock, _ = pieces_of_rock(mesh)
-    idle = np.zeros(len(rock), dtype=bool)
-    idle[piece[piece >= 0]] = ~loaded[part[piece >= 0]]
-    return idle, UnloadedBlocks(count, int(loaded.sum()))
+    return ~loaded[part_of], UnloadedBlocks(count, int(loaded.sum()))
+
+
+def parts(mesh: SplitMesh, tied: Ints) -> tuple[Ints, Ints]:
+    """The part (p,) of each block of rock, which joints or ``tied`` nodes (m, 2) hold together, and the block (n,) of nodes.
+
+    Rock that is not meshed is around all of them.
+    """
+    if is_unmeshed(mesh.cells):
+        return np.zeros(1, dtype=np.int64), np.zeros(len(mesh.points), dtype=np.int64)
+    if mesh.rest is not None:
+        piece, count = mesh.rest.piece, len(mesh.rest.piece_rock)
+    else:
+        piece, rock, _ = pieces_of_rock(mesh)
+        count = len(rock)
+    one = np.concatenate([mesh.joint_bottom.ravel(), tied[:, 0]])
+    other = np.concatenate([mesh.joint_top.ravel(), tied[:, 1]])
+    return components(piece[one], piece[other], count), piece
 
 
 def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:

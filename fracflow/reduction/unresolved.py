@@ -12,8 +12,9 @@ from fracflow.diagnostics.number import CheckInput
 from fracflow.diagnostics.thin_rock import thin_rock_lines
 from fracflow.integrators import stepper_from
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
-from fracflow.mesh.plane.quality import BLUNT, worst_cells
+from fracflow.mesh.plane.quality import BLUNT
 from fracflow.mesh.rock_cells import RockCells
+from fracflow.mesh.whole import share_of_blunt
 from fracflow.model.setup import on_root
 from fracflow.records import dataclass
 from fracflow.reduction.mesh_size import SAME, WorstCell, needs, typical_length, worst_of
@@ -71,7 +72,7 @@ def _unresolved(view: CheckInput, mesh: SplitMesh, rock: RockSizes) -> list[str]
             asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
             has = f"has {need.found:.3g}{unit}, {need.where}"
             lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
-    lines += [*thin_rock_lines(scene, mesh), *_blunt(mesh.uncut)]
+    lines += [*thin_rock_lines(scene, mesh), *_blunt(mesh)]
     return [*lines, *_keeping_waves(view, rock.far), *_coarse_beside(view, rock.beside)]
 
 
@@ -79,7 +80,7 @@ def _blunt(mesh: SplitMesh) -> Iterator[str]:
     """A line where many cells are far from squares and equilateral triangles."""
     if mesh.points.shape[1] != 2 or is_unmeshed(mesh.cells):
         return
-    share = worst_cells(mesh.points, mesh.cells)["cells over 150 degrees"]
+    share = share_of_blunt(mesh)
     if share > BLUNT:
         yield (
             f"mesh: {100 * share:.2g} % of the cells have a corner over 150 degrees: such cells are too stiff, and slip and"

@@ -28,6 +28,7 @@ from fracflow.output.fields import exchange, undo_exchange
 from fracflow.output.history import read_rows
 from fracflow.output.probes import measured, probe_record, well_record
 from fracflow.output.profiles import ProfileFile
+from fracflow.output.rock import ShownRock
 from fracflow.output.status import RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide
@@ -76,12 +77,10 @@ def scene_seal(folder: Path) -> str:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, notes: Notes, rock: tuple[Slabs, Slabs]
-    ) -> None:
+    def __init__(self, model: Model, facts: ReductionInput, folder: Path, notes: Notes, rock: ShownRock) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError.
 
-        rock  points and cells that the fields show
+        rock  points and cells that the fields show, and beside them the parts of the mesh that rank 0 has not
         """
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
@@ -90,18 +89,26 @@ class Files:
         scene = (model.bounded or model.stated).dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
-            self._open(model, facts, notes, scene, before)
+            self._open(model, facts, notes, scene, before, rock.beside)
             self._open_fields(notes is not None, rock)
         except BaseException:
             self.folder.close()
             raise
 
-    def _open(self, model: Model, facts: ReductionInput, notes: Notes, scene: str, before: Before | None) -> None:
+    def _open(
+        self,
+        model: Model,
+        facts: ReductionInput,
+        notes: Notes,
+        scene: str,
+        before: Before | None,
+        parts: Mapping[str, Slabs],
+    ) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
         known = before.mesh if before is not None else ""
-        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
+        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5", parts)
         if notes is None:
             self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
@@ -168,9 +175,9 @@ class Files:
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
 
-    def _open_fields(self, resumes: bool, rock: tuple[Slabs, Slabs]) -> None:
+    def _open_fields(self, resumes: bool, rock: ShownRock) -> None:
         path, names = self.folder.path, {"rocks": list(self.mesh.rocks)}
-        self.rock = FieldWriter(path, "rock", *rock, names, resumes)
+        self.rock = FieldWriter(path, "rock", rock.points, rock.cells, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
         self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
@@ -178,7 +185,7 @@ class Files:
         self.rock.forget_mesh()
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
-    def hand_over(self, model: Model, rock: tuple[Slabs, Slabs]) -> None:
+    def hand_over(self, model: Model, rock: ShownRock) -> None:
         """Go on with the model of the other rock, whose joints and flow nodes have the same numbers. Raises OSError.
 
         rock  points and cells that the fields show from now on; those of before are set aside

@@ -22,6 +22,7 @@ from fracflow.output.rock import rock_slabs, shown_rock
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, factorisations, mesh_of_events
+from fracflow.reduction.sliced import kept_parts
 from fracflow.scene.quantities import REGIMES
 from fracflow.scene.units import STRESS
 from fracflow.simulation.files import Files, Notes
@@ -55,14 +56,15 @@ class Recorder:
     def _opened(self, facts: ReductionInput, notes: Notes) -> Files | None:
         """The files, on rank 0, which the others give points and cells meanwhile. Collective."""
         blocks, mesh = self.model.operators.blocks, self.model.mesh
+        parts = kept_parts(self.model)
 
         def work() -> Files:
-            with shown_rock(blocks, mesh) as rock:
+            with shown_rock(blocks, mesh, parts) as rock:
                 assert rock is not None
                 return Files(self.model, facts, self._folder, notes, rock)
 
         if self.comm.rank:
-            with shown_rock(blocks, mesh):
+            with shown_rock(blocks, mesh, parts):
                 pass
         return on_root(self.comm, work)
 

@@ -29,6 +29,7 @@ from fracflow.reduction.apply import planned
 from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
+from fracflow.reduction.sliced import Kept, kept_mesh
 from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
@@ -69,7 +70,7 @@ def run(
     """
     undone: dict[str, str] = {}
     while True:
-        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
+        mesh = on_root(comm, lambda: kept_mesh(Path(folder) / "mesh.h5", comm)) if undone else None
         callbacks = (show, say) if not undone else (None, None)
         try:
             return _go(_begun(scene, folder, comm, undone, mesh, *callbacks), progress)
@@ -93,7 +94,7 @@ def _begun(
     folder: str | Path,
     comm: MPI.Comm,
     undone: Mapping[str, str],
-    mesh: SplitMesh | None = None,
+    mesh: Kept | None = None,
     show: Show | None = None,
     say: Say | None = None,
 ) -> _Begun:
@@ -152,7 +153,7 @@ def resume(
             return totals
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
-        mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+        mesh = on_root(comm, lambda: kept_mesh(folder / "mesh.h5", comm, notes["seals"].get("mesh", "")))
         event_seal = notes["seals"].get("event_mesh", "")
         is_meshed = notes.get("meshed", bool(event_seal))  # earlier versions never left the mesh of an event
         event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if is_meshed else None)
@@ -182,7 +183,7 @@ def resume(
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
-        mesh, ready = on_root(comm, lambda: load_mesh(path) if path.exists() else None), None
+        mesh, ready = on_root(comm, lambda: kept_mesh(path, comm) if path.exists() else None), None
     while True:
         try:
             return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
@@ -190,9 +191,12 @@ def resume(
             undone, ready = {**undone, **needed.undone}, None
 
 
-def _partition(arrays: SealedFile | None, mesh: SplitMesh | None) -> Ints | None:
-    """Rank (cells,) of each cell of a mesh before its cells are cut, as a run recorded it, on rank 0; else None."""
-    return arrays.each("cell_rank", mesh.children) if arrays is not None and mesh is not None else None
+def _partition(arrays: SealedFile | None, mesh: Kept | None) -> Ints | None:
+    """Rank (cells,) of each cell of a mesh before its cells are cut, as a run recorded it, on rank 0; else None.
+
+    Ranks that take slices find the same again.
+    """
+    return arrays.each("cell_rank", mesh.children) if arrays is not None and isinstance(mesh, SplitMesh) else None
 
 
 def has_ended(folder: Path) -> bool:

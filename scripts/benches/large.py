@@ -1,10 +1,11 @@
-"""Time and memory of each part of a large run: large.py [CELLS...] [--refine N] [--ranks N...] [--ways WAY...] [--samples].
+"""Time and memory of each part of a large run: large.py [CELLS...] [--refine N] [--saved] [--ranks N...] [--ways WAY...].
 
 The network of _network.py, meshed by Gmsh with so many triangles, which the ranks cut N times in four. Explicit steps of a
 network that begins to slide between absorbing sides are stopped half way and resumed. One quasi-static step with sliding is
 solved by multigrid, or by LU (direct). Each is a run of its own on each number of ranks, with a stopwatch around the functions
 below. CPU seconds are the mean over ranks, with their waiting; --samples adds those of each rank without it. Memory is the peak
-of each rank so far, VmHWM, of which the last is fitted by c + a N/P + b N, for N cells on P ranks.
+of each rank so far, VmHWM, of which the last is fitted by c + a N/P + b N, for N cells on P ranks. With --saved the mesh is one
+that ``fracflow mesh`` has split and saved. Where it is large, and --refine 0, ranks take slices of it.
 """
 
 from __future__ import annotations
@@ -50,14 +51,14 @@ METHODS = {
     "direct": 'method.coupling = "whole-lu"',
 }
 PARTS = {
-    "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "simulation.run:load_mesh"],
+    "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "reduction.sliced:load_mesh"],
     "places and checks": [
         "reduction.prepare:place",
         "reduction.prepare:unresolved",
         "reduction.prepare:unconnected_wells",
         "simulation.files:pre_run_checks",
     ],
-    "distribution": ["model.setup:distribute"],
+    "distribution": ["model.setup:distribute", "reduction.prepare:in_slices"],
     "assembly": ["model.setup:assemble", "model.setup:with_terms", "model.setup:assemble_loads"],
     "initial state": [
         "simulation.run:refuse_imbalance",
@@ -136,6 +137,16 @@ def measure(way: str, scene: Path, ranks: int, stop: int, out: Path, samples: bo
     return json.loads(result.read_text(encoding="utf-8")) | ({"samples": seconds(taken, ranks)} if samples else {})
 
 
+def saved(mesh: Path, cells: int, out: Path) -> Path:
+    """The mesh as ``fracflow mesh`` splits and saves it."""
+    kept, scene = mesh.with_suffix(".h5"), out / f"saved-{cells}.toml"
+    if not kept.exists():
+        scene.write_text(scene_of("explicit", mesh, cells, 0, 1), encoding="utf-8")
+        words = [sys.executable, "-m", "fracflow", "mesh", str(scene), "-o", str(kept)]
+        subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    return kept
+
+
 def rows_of(way: str, ranks: int, found: dict[str, Any]) -> list[dict[str, Any]]:
     """A row for each part that took time, and one for the whole."""
     parts = {name: [rank[name] for rank in found["ranks"]] for name in (*PARTS, REST)}
@@ -180,6 +191,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench large", description=__doc__.splitlines()[0])
     parser.add_argument("cells", nargs="*", type=int, default=CELLS, help="numbers of triangles of the coarse mesh")
     parser.add_argument("--refine", type=int, default=1, help="how often the ranks cut each cell in four")
+    parser.add_argument("--saved", action="store_true", help="let ranks read the mesh as fracflow mesh has saved it")
     parser.add_argument("--ranks", type=int, nargs="+", default=RANKS)
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS[:3])
     parser.add_argument("--samples", action="store_true", help="CPU seconds of each rank without its waiting, by perf")
@@ -192,10 +204,11 @@ def main() -> None:
         mesh = out / f"network-{cells}.msh"
         if not mesh.exists():
             subprocess.run([sys.executable, network.__file__, str(cells), str(mesh)], check=True)
+        mesh = saved(mesh, cells, out) if given.saved else mesh
         for ranks in given.ranks:
             for way in given.ways:
                 kind = "explicit" if way == "resume" else way
-                scene = out / f"{kind}-{cells}-{given.refine}.toml"
+                scene = out / f"{kind}-{cells}-{given.refine}{mesh.suffix.replace('.', '-')}.toml"
                 scene.write_text(scene_of(kind, mesh, cells, given.refine, given.steps), encoding="utf-8")
                 found = measure(way, scene, ranks, given.steps // 2 + 1 if way == "explicit" else 0, out, given.samples)
                 new = rows_of(way, ranks, found)

@@ -58,6 +58,26 @@ def test_small_run_in_all_ways(tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.starts_ranks
+def test_a_saved_mesh(tmp_path):
+    words = [sys.executable, large.__file__, "400", "--saved", "--refine", "0", "--ranks", "2", "--steps", "4"]
+    words += ["--ways", "explicit", "--out", str(tmp_path)]
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=without_ranks() | {"PYTHONPATH": str(ROOT)},
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "network-400.h5").exists()
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    (whole,) = (line for line in lines if line.get("part") == "whole")
+    assert whole["ratio"] > 0.0 and whole["cells"] == lines[-2]["cells"] > 400
+
+
+@pytest.mark.serial
 def test_fit():
     rows = [
         {"way": "explicit", "part": "whole", "cells": cells, "ranks": ranks}

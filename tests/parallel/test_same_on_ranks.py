@@ -86,6 +86,22 @@ def _settled(history):
     return close[0] if len(close) else len(history["time"])
 
 
+def assert_agree(one, many, rows, length, stress):
+    """Histories, up to so many rows, to 1e-10 of each field's natural size, of a length and a stress of the scene."""
+    natural = {**dict.fromkeys(CRACK, length), "shear_traction": stress, "normal_traction": stress}
+    natural |= dict.fromkeys(("velocity", "slip_rate"), stress / IMPEDANCE)
+    natural["acceleration"] = 4.0 * length / one["step/dt"].max() ** 2  # as (4.1a) makes it of displacements
+    sizes = dict(natural) | {"dt": one["time"].max()}  # a step to an event is a difference of times
+    names = [name for name in one if _compared(name)]
+    whole = ("energy", "volume")  # terms of a balance, each to round-off of the largest
+    kind = {n: n.partition("/")[0] if n.startswith(whole) else n.rsplit("/", 1)[-1] for n in names}
+    for name in names:
+        sizes[kind[name]] = max(sizes.get(kind[name], 0.0), np.nanmax(np.abs(one[name]), initial=0.0))
+    for name in names:
+        apart = np.nanmax(np.abs(one[name][:rows] - many[name][:rows]), initial=0.0)
+        assert apart <= 1e-10 * sizes[kind[name]], (name, apart, sizes[kind[name]])
+
+
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 @pytest.mark.parametrize("scene", SCENES)
@@ -106,18 +122,7 @@ def test_ranks_agree(scene, ran):
         assert order[0] == order[1] and starts[0] == pytest.approx(
             starts[1], rel=1e-9
         )  # located as well as ranks agree
-        natural = {**dict.fromkeys(CRACK, length), "shear_traction": stress, "normal_traction": stress}
-        natural |= dict.fromkeys(("velocity", "slip_rate"), stress / IMPEDANCE)
-        natural["acceleration"] = 4.0 * length / one["step/dt"].max() ** 2  # as (4.1a) makes it of displacements
-        sizes = dict(natural) | {"dt": one["time"].max()}  # a step to an event is a difference of times
-        names = [name for name in one if _compared(name)]
-        whole = ("energy", "volume")  # terms of a balance, each to round-off of the largest
-        kind = {n: n.partition("/")[0] if n.startswith(whole) else n.rsplit("/", 1)[-1] for n in names}
-        for name in names:
-            sizes[kind[name]] = max(sizes.get(kind[name], 0.0), np.nanmax(np.abs(one[name])))
-        for name in names:
-            apart = np.nanmax(np.abs(one[name][:rows] - many[name][:rows]), initial=0.0)
-            assert apart <= 1e-10 * sizes[kind[name]], (scene, ranks, name, apart, sizes[kind[name]])
+        assert_agree(one, many, rows, length, stress)
 
 
 def test_what_ranks_decide_by_is_one_number(shared_tmp):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 
+MOST_ANGLE = 150.0  # of a corner [degree]
 BLUNT = 0.1  # share of cells with a corner over 150 degrees from which on a mesh is spoilt: sound ones have up to 0.05
 
 
@@ -24,6 +25,14 @@ def corner_angles(points: Floats, cells: Ints) -> Floats:
     return np.degrees(np.arctan2(turn, np.sum(ahead * behind, axis=2))) % 360
 
 
+def is_blunt(points: Floats, cells: Ints) -> Bools:
+    """Which of padded cells (m, k) have a corner over 150 degrees."""
+    count, found = np.sum(cells >= 0, axis=1), np.zeros(len(cells), dtype=bool)
+    for k in np.unique(count).tolist():
+        found[count == k] = (corner_angles(points, cells[count == k][:, :k]) > MOST_ANGLE).any(axis=1)
+    return found
+
+
 def worst_cells(points: Floats, cells: Ints) -> dict[str, float]:
     """Smallest and largest corner angle of cells (m, k) [degree], and the shares with a corner under 20, over 150."""
     count = np.sum(cells >= 0, axis=1)
@@ -33,5 +42,5 @@ def worst_cells(points: Floats, cells: Ints) -> dict[str, float]:
         "smallest angle": float(least.min()),
         "largest angle": float(most.max()),
         "cells under 20 degrees": float(np.mean(least < 20.0)),
-        "cells over 150 degrees": float(np.mean(most > 150.0)),
+        "cells over 150 degrees": float(np.mean(most > MOST_ANGLE)),
     }

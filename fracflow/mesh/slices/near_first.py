@@ -1,0 +1,176 @@
+"""Slices in new numbers, by which near cells and nodes come first: as ``near_cells.with_near_first``, by all ranks together."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.locate import all_covering
+from fracflow.mesh.slices.directory import Directory, Route
+from fracflow.mesh.slices.reading import NONE, Raw, moved
+from fracflow.mesh.store import NOT_FIRST
+from fracflow.records import dataclass
+from fracflow.storage.sealed import AGAIN
+
+
+@dataclass(frozen=True)
+class Slices:
+    """Cells of this rank and a slab of nodes, in numbers by which the near ones come first.
+
+    nodes      who keeps which numbers of nodes
+    total      how many cells there are
+    near       how many of them come first
+    number     (m,) of each cell here
+    cells      (m, c) their nodes, -1 pads
+    cell_rock  (m,) of each
+    middle     (m, dim) mean of the corners; of a cell at a joint, the middle of the joint [length]
+    points     (s, dim) of the nodes of the slab [length]
+    origin     (s,) of each
+    """
+
+    nodes: Directory
+    total: int
+    near: int
+    number: Ints
+    cells: Ints
+    cell_rock: Ints
+    middle: Floats
+    points: Floats
+    origin: Ints
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Of all ranks."""
+        return self.nodes.comm
+
+
+def with_near_first(raw: Raw, places: Floats, rocks: Collection[int]) -> tuple[SplitMesh | None, Slices] | None:
+    """The mesh of near cells, on rank 0, and slices of all. Raises InputError, on every rank. Collective.
+
+    Near cells are those of ``near_cells``, at places (p, dim) too and of rocks by their numbers. In a run that goes on they
+    are those that came first in it. There is none where a place lies in others: None.
+    """
+    comm, near = raw.cells.comm, raw.saved.near
+    is_near = _near_cells(raw, places, rocks)
+    if near >= 0:
+        is_first = raw.cells.numbers < near
+        if comm.allreduce(bool((is_near & ~is_first).any()), op=MPI.LOR):
+            return None
+        is_near = is_first
+    cell, near = _first(comm, is_near)
+    has = np.zeros(len(raw.points), dtype=np.int64)
+    on_near = np.unique(raw.local[is_near])
+    on_near = on_near[np.searchsorted(on_near, 0) :]
+    raw.nodes.put(has, raw.corner[on_near], np.ones(len(on_near), dtype=np.int64))
+    node, near_nodes = _first(comm, has > 0)
+    if raw.saved.near >= 0:
+        stays = np.array_equal(cell, raw.cells.numbers) and np.array_equal(node, raw.nodes.numbers)
+        _refuse(raw, not comm.allreduce(stays, op=MPI.LAND))
+    slices = _renumbered(raw, cell, near, node)
+    return _near_mesh(raw, slices, cell, node, near_nodes), slices
+
+
+def _near_cells(raw: Raw, places: Floats, rocks: Collection[int]) -> Bools:
+    """Which cells (m,) of this rank's slab are near. Collective."""
+    frame = raw.frame
+    on = [NONE]
+    if frame is not None:
+        named = np.array(list(frame.named_points.values()), dtype=np.int64)
+        on += [raw.frame_node[each.ravel()] for each in (frame.origin[frame.joint_bottom], named)]
+        on += [raw.frame_node[frame.origin[frame.side_facets].ravel()]]
+    low, high, nodes = _extremes(raw)
+    farther = np.concatenate([nodes, *(_covering(raw, place, float((high - low).max())) for place in places)])
+    on += [raw.nodes.look_up(raw.origin, farther[farther >= 0])]
+    flags = np.zeros(len(raw.points), dtype=np.int64)
+    numbers = np.concatenate(on)
+    raw.nodes.put(flags, numbers, np.ones(len(numbers), dtype=np.int64))
+    copies = np.flatnonzero(raw.origin != raw.nodes.numbers)
+    of_copies = raw.nodes.look_up(flags, raw.origin[copies])
+    flags[copies] = of_copies
+    is_on = raw.nodes.look_up(flags, raw.corner) > 0
+    first = np.where(raw.local >= 0, raw.local, raw.local[:, :1])
+    return np.asarray(is_on[first].any(axis=1) | np.isin(raw.rock, list(rocks)))
+
+
+def _extremes(raw: Raw) -> tuple[Floats, Floats, Ints]:
+    """Lowest and highest coordinates (dim,) of all nodes, and on rank 0 the first nodes (2 dim,) that have them. Collective."""
+    signed = np.concatenate([raw.points, -raw.points], axis=1)
+    at = signed.argmin(axis=0) if len(signed) else NONE
+    mine = [(float(signed[row, column]), raw.nodes.first + int(row)) for column, row in enumerate(at)]
+    found = zip(*(each for each in raw.nodes.comm.allgather(mine) if each), strict=True)
+    least = [min(each) for each in found]
+    values, dim = np.array([value for value, _ in least]), raw.points.shape[1]
+    nodes = np.array([node for _, node in least if raw.nodes.comm.rank == 0], dtype=np.int64)
+    return values[:dim], -values[dim:], nodes
+
+
+def _covering(raw: Raw, place: Floats, extent: float) -> Ints:
+    """Nodes (c,) of the cell that a place (dim,) lies in, on the rank that has the cell; none elsewhere. Collective."""
+    rows, depth = all_covering(raw.corner_points, raw.local, place, extent)
+    best = int(rows[np.argmax(depth)]) if len(rows) else -1
+    mine = (float(depth.max(initial=-np.inf)), -raw.cells.first - best)
+    return raw.cell[best] if max(raw.cells.comm.allgather(mine)) == mine and best >= 0 else NONE
+
+
+def _first(comm: MPI.Comm, chosen: Bools) -> tuple[Ints, int]:
+    """New numbers (n,) of this rank's part of a list: the chosen ones of all ranks first, and their count. Collective."""
+    counts = np.array(comm.allgather((int(chosen.sum()), int((~chosen).sum()))))
+    total, (before, others) = int(counts[:, 0].sum()), counts[: comm.rank].sum(axis=0)
+    number = np.where(chosen, before + np.cumsum(chosen), total + others + np.cumsum(~chosen)) - 1
+    return number.astype(np.int64), total
+
+
+def _refuse(raw: Raw, is_wrong: bool) -> None:
+    if is_wrong:
+        raise InputError(f"{raw.saved.path}: is no saved mesh ({NOT_FIRST}); {AGAIN}")
+
+
+def _renumbered(raw: Raw, cell: Ints, near: int, node: Ints) -> Slices:
+    """The slices by the new numbers of this rank's cells and nodes. Collective."""
+    nodes, corners = raw.nodes, raw.corner_points[np.where(raw.local >= 0, raw.local, raw.local[:, :1])]
+    is_corner = raw.local >= 0
+    middle = (corners * is_corner[..., None]).sum(axis=1) / np.maximum(is_corner.sum(axis=1), 1)[:, None]
+    at, where = NONE, np.zeros((0, raw.points.shape[1]))
+    if raw.frame is not None:  # of a cell at several joints the first counts
+        at = raw.frame.joint_cells[::-1].ravel()
+        where = np.repeat(raw.frame.points[raw.frame.joint_bottom].mean(axis=1)[::-1], 2, axis=0)
+    raw.cells.put(middle, at, where)
+    points, origin = np.empty_like(raw.points), np.empty_like(raw.origin)
+    nodes.put(points, node, raw.points)
+    nodes.put(origin, node, nodes.look_up(node, raw.origin))
+    cells = np.append(nodes.look_up(node, raw.corner), -1)[raw.local]
+    return Slices(nodes, raw.cells.total, near, cell, cells, raw.rock, middle, points, origin)
+
+
+def _near_mesh(raw: Raw, slices: Slices, cell: Ints, node: Ints, near_nodes: int) -> SplitMesh | None:
+    """The near cells with all joints and sides, on rank 0. Raises InputError where these are on others. Collective."""
+    comm, frame, of_nodes = slices.comm, raw.frame, slices.nodes.numbers
+    rows = np.flatnonzero(slices.number < slices.near)
+    to_first = Route(comm, np.zeros_like(rows))
+    number, cells, rock = (to_first.send(each[rows]) for each in (slices.number, slices.cells, slices.cell_rock))
+    rows = np.flatnonzero(of_nodes < near_nodes)
+    to_first = Route(comm, np.zeros_like(rows))
+    points, origin = to_first.send(slices.points[rows]), to_first.send(slices.origin[rows])
+    nodes = raw.nodes.look_up(node, raw.frame_node)
+    asked = NONE if frame is None else np.concatenate([frame.joint_cells.ravel(), frame.side_cell])
+    of_cells = raw.cells.look_up(cell, asked)
+    is_wrong = bool((nodes >= near_nodes).any() or (of_cells >= slices.near).any() or (origin >= near_nodes).any())
+    _refuse(raw, comm.allreduce(is_wrong, op=MPI.LOR))
+    if frame is None:
+        return None
+    order, joints = np.argsort(number), frame.joint_cells.size
+    return replace(
+        moved(frame, lambda numbers: nodes[numbers]),
+        points=points,
+        origin=origin,
+        cells=cells[order],
+        cell_rock=rock[order],
+        joint_cells=of_cells[:joints].reshape(-1, 2),
+        side_cell=of_cells[joints:],
+        near=slices.near,
+    )
