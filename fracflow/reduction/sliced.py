@@ -20,9 +20,9 @@ Kept = SplitMesh | SavedMesh
 """The mesh of a run that goes on, or the file that ranks take it from in slices."""
 
 
-def kept_mesh(path: Path, comm: MPI.Comm, root: str = "") -> Kept:
+def kept_mesh(path: Path, root: str = "") -> Kept:
     """The mesh of a run folder, with the ``root`` of its seal where that is known, on one rank. Raises InputError."""
-    return slices_of(path, comm.size, root) or load_mesh(path, root)
+    return slices_of(path, root) or load_mesh(path, root)
 
 
 def whole_of(kept: Kept) -> SplitMesh:
@@ -42,7 +42,7 @@ def in_slices(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> tuple[SplitMes
 
     Raises InputError, on every rank. Collective.
     """
-    saved = comm.bcast(on_root(comm, lambda: _saved(scene, comm, kept)), root=0)
+    saved = comm.bcast(on_root(comm, lambda: _saved(scene, kept)), root=0)
     if saved is None:
         return None
     from fracflow.mesh.slices.near_first import with_near_first  # few runs need it
@@ -73,14 +73,14 @@ def kept_parts(model: Model) -> dict[str, Distributed]:
     return sliced_parts(blocks) if has_rest else {}
 
 
-def _saved(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> SavedMesh | None:
+def _saved(scene: Scene, kept: Kept | None) -> SavedMesh | None:
     """The file that ranks take slices of, if they do. Raises InputError."""
     if kept is not None:
         return kept if isinstance(kept, SavedMesh) else None
     path = scene.mesh_path
     if path is None or path.suffix != SPLIT or scene.refine:  # cells that ranks cut come to them few and large
         return None
-    return slices_of(path, comm.size)
+    return slices_of(path)
 
 
 def _asked(scene: Scene, frame: SplitMesh | None) -> tuple[Floats, list[int]]:

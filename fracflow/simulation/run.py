@@ -70,7 +70,7 @@ def run(
     """
     undone: dict[str, str] = {}
     while True:
-        mesh = on_root(comm, lambda: kept_mesh(Path(folder) / "mesh.h5", comm)) if undone else None
+        mesh = on_root(comm, lambda: kept_mesh(Path(folder) / "mesh.h5")) if undone else None
         callbacks = (show, say) if not undone else (None, None)
         try:
             return _go(_begun(scene, folder, comm, undone, mesh, *callbacks), progress)
@@ -153,7 +153,7 @@ def resume(
             return totals
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
-        mesh = on_root(comm, lambda: kept_mesh(folder / "mesh.h5", comm, notes["seals"].get("mesh", "")))
+        mesh = on_root(comm, lambda: kept_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
         event_seal = notes["seals"].get("event_mesh", "")
         is_meshed = notes.get("meshed", bool(event_seal))  # earlier versions never left the mesh of an event
         event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if is_meshed else None)
@@ -183,7 +183,7 @@ def resume(
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
-        mesh, ready = on_root(comm, lambda: kept_mesh(path, comm) if path.exists() else None), None
+        mesh, ready = on_root(comm, lambda: kept_mesh(path) if path.exists() else None), None
     while True:
         try:
             return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)

@@ -220,15 +220,14 @@ def test_a_mesh_that_was_changed_is_refused_on_every_rank(shared_tmp):
 def test_large_meshes_in_the_plane_are_taken_in_slices(tmp_path, monkeypatch):
     mesh = split(_grid())
     save_mesh(mesh, tmp_path / "kept.h5")
-    assert slices_of(tmp_path / "kept.h5", 4) is None
+    assert slices_of(tmp_path / "kept.h5") is None
     monkeypatch.setattr("fracflow.mesh.slices.reading.FEWEST", len(mesh.cells))
-    assert slices_of(tmp_path / "kept.h5", 1) is None
-    assert slices_of(tmp_path / "kept.h5", 2) == SavedMesh(tmp_path / "kept.h5")
-    assert slices_of(tmp_path / "kept.h5", 2, "") is None  # a run that began with it has numbers of the file
+    assert slices_of(tmp_path / "kept.h5") == SavedMesh(tmp_path / "kept.h5")
+    assert slices_of(tmp_path / "kept.h5", "") is None  # a run that began with it has numbers of the file
     save_mesh(replace(mesh, near=len(mesh.cells)), tmp_path / "mesh.h5")
-    assert slices_of(tmp_path / "mesh.h5", 2, "ab") == SavedMesh(tmp_path / "mesh.h5", "ab", len(mesh.cells))
+    assert slices_of(tmp_path / "mesh.h5", "ab") == SavedMesh(tmp_path / "mesh.h5", "ab", len(mesh.cells))
     save_mesh(replace(mesh, near=len(mesh.cells), cuts=1), tmp_path / "cut.h5")
-    assert slices_of(tmp_path / "cut.h5", 2, "ab") is None
+    assert slices_of(tmp_path / "cut.h5", "ab") is None
     assert len(load_split(tmp_path / "mesh.h5").cells) == len(mesh.cells)
     with pytest.raises(InputError, match="write one with"):
-        slices_of(tmp_path / "none.h5", 2)
+        slices_of(tmp_path / "none.h5")

@@ -40,15 +40,15 @@ class SavedMesh:
     near: int = -1
 
 
-def slices_of(path: Path, ranks: int, root: str | None = None) -> SavedMesh | None:
-    """The file of a saved mesh, if so many ranks take slices of it. Else rank 0 reads it, and sends each its share: None.
+def slices_of(path: Path, root: str | None = None) -> SavedMesh | None:
+    """The file of a saved mesh, if ranks take slices of it. Else rank 0 reads it, and sends each its share: None.
+
+    So does one rank: numbers, and the order of fields and files, are those of any number of ranks.
 
     root  of the mesh of a run that goes on, empty where it is not known: its numbers stay. None of a new run
 
     On one rank. Raises InputError where it is no saved mesh.
     """
-    if ranks == 1:
-        return None
     cells, near = cells_of(path, WRITE_ONE if root is None else AGAIN)
     if cells < FEWEST or (root is not None and near < 0):
         return None
