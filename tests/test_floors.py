@@ -34,7 +34,13 @@ PLAIN = {"laws", "elements", "integrators"}  # NumPy only
 SHARED_LAWS = {
     "__init__", "base", "closure", "compiled", "cubic_flow", "elastic", "friction", "leak_off", "roughness", "terms",
 }  # fmt: skip
-BESIDE = {("storage", "errors"), ("storage", "records"), ("errors", "records"), ("_petsc", "errors"), ("__main__", "cli")}
+BESIDE = {
+    ("storage", "errors"),
+    ("storage", "records"),
+    ("errors", "records"),
+    ("_petsc", "errors"),
+    ("__main__", "cli"),
+}
 
 
 @dataclass(frozen=True)
@@ -107,9 +113,15 @@ def check_outside(modules: dict[str, Module]) -> list[str]:
     faults, meshers = [], []
     for module in modules.values():
         foreign = {name.split(".")[0] for name in imports(module, modules) if ours(name) is None}
-        ground = {name.split(".")[0] for name in map(ours, imports(module, modules)) if name} - {"errors", "records", module.top}
+        ground = {name.split(".")[0] for name in map(ours, imports(module, modules)) if name} - {
+            "errors",
+            "records",
+            module.top,
+        }
         if module.top in PLAIN and ground:
-            faults.append(f"{module.name}: imports {', '.join(sorted(ground))}; of ours, only errors and records are allowed there")
+            faults.append(
+                f"{module.name}: imports {', '.join(sorted(ground))}; of ours, only errors and records are allowed there"
+            )
         if module.top in PLAIN and (more := foreign - {"numpy"} - set(sys.stdlib_module_names)):
             faults.append(f"{module.name}: imports {sorted(more)}; only NumPy is allowed there")
         if "petsc4py" in foreign and module.name != "_petsc":

@@ -175,7 +175,7 @@ def section(unknowns: float, cells: str, faults: list[int], way: Way) -> dict[st
     """Cost of a section in unknowns: what steps take beyond the sweep, by rocks with more and more faults.
 
     An unknown costs what it does in the sweep through the rock alone, and beside it what it does in a whole step of the rock
-    with the fewest faults. Runs of the rocks take turns; the least time between states counts, as other programs disturb it least.
+    with the fewest faults. Runs of the rocks take turns; the least time between states counts: others disturb it least.
     """
     from fracflow.solve.explicit import ExplicitModel
 

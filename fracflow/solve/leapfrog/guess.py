@@ -25,14 +25,19 @@ MOST_MEMBERS = 8  # sections of a cluster, as in joints.c
 class Trial(NamedTuple):
     """Motion of sections (s, 2), their histories with the statuses there, and iterations; -1 where it is no balance.
 
-    traction, left  (s, 2) of the copies of the laws there [stress], and what is left of the motion [length]
+    strain, traction  (s, 2) there [length], and of the copies of the laws [stress]
+    left              (s, 2) what is left of the motion [length]
+    moved, worst      largest size of the motion, and of what is left of it
     """
 
     change: Floats
     status: SectionHistory
     iterations: int
+    strain: Floats
     traction: Floats
     left: Floats
+    moved: float
+    worst: float
 
 
 class _Batch:
@@ -58,8 +63,8 @@ class JointGuess:
         """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""
         loops, here = library(), self._before
         assert loops is not None
-        here[:, :2], here[:, 2:4], here[:, 4:6] = free, before.strain, before.traction
-        here[:, 6:10] = before.tangent.reshape(-1, 4)
+        known = [np.ascontiguousarray(each, float) for each in (free, before.strain, before.traction, before.tangent)]
+        loops.fracflow_before(len(here), *map(address, (*known, here)))
         for group, history in zip(self.joints.laws, before.history, strict=True):
             for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
                 if name in history:
@@ -69,17 +74,20 @@ class JointGuess:
         for batch in self._batches:
             done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found)
             most = max(most, done) if done >= 0 and most >= 0 else -1
-        back = self.clusters.exchange.back(self._found)
-        status = self._with_status(before.history, here[:, 11], back[:, 2])
-        return Trial(back[:, :2], status, most, back[:, 3:5], back[:, 5:])
+        return self._trial(before.history, self.clusters.exchange.back(self._found), most)
 
-    def _with_status(self, history: SectionHistory, before: Floats, now: Floats) -> SectionHistory:
-        if np.array_equal(before, now):
-            return history
-        return tuple(
-            {**start, "sliding": now[group.sections, None]} if "sliding" in start else start
-            for group, start in zip(self.joints.laws, history, strict=True)
-        )
+    def _trial(self, history: SectionHistory, back: Floats, iterations: int) -> Trial:
+        loops, largest = library(), np.zeros(2)
+        assert loops is not None
+        change, strain, traction, left = (np.empty((len(back), 2)) for _ in range(4))
+        found = map(address, (self._before, back, change, strain, traction, left, largest))
+        status = history
+        if loops.fracflow_after(len(back), *found):
+            status = tuple(
+                {**start, "sliding": back[group.sections, 2:3]} if "sliding" in start else start
+                for group, start in zip(self.joints.laws, history, strict=True)
+            )
+        return Trial(change, status, iterations, strain, traction, left, *largest.tolist())
 
 
 def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:

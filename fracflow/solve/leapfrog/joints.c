@@ -3,10 +3,10 @@
    A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Friction is that of ``laws/friction.h``, a linear law
    as in ``linear.py``. */
 #include "../../laws/friction.h"
+#include "machines.h"
 #include <stdint.h>
 #include <string.h>
 
-#define INLINE static inline __attribute__((always_inline))
 #define MOST_MEMBERS 8
 #define MOST_SIZE (2 * MOST_MEMBERS)
 #define UNIT 2.220446049250313e-16
