@@ -23,7 +23,10 @@ _FUNCTIONS = {
     "fracflow_stop": (None, (_INT, *[_ARRAY] * 12)),
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
-    "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
+    "fracflow_joints": (
+        _INT,
+        (_INT, _INT, *[_ARRAY] * 2, _REAL, *[_ARRAY] * 2, _INT, _INT, _ARRAY, _INT, _INT, *[_ARRAY] * 2),
+    ),
     "fracflow_work": (None, (_INT, *[_ARRAY] * 16)),
     "fracflow_predict": (None, (_INT, _ARRAY, _ARRAY, _REAL, _ARRAY)),
     "fracflow_jumps": (None, (_INT, *[_ARRAY] * 5)),

@@ -1,7 +1,8 @@
 """A first guess of the motion of joints in an explicit step, by the compiled loops of ``joints.c``.
 
 Those have a copy of some laws, in the plane. The laws evaluate a guess like any other trial. Where they find no balance, or
-another status, it counts for nothing. It spares four of five evaluations, each of which passes some 250 arrays.
+another status, it counts for nothing. It spares four of five evaluations, each of which passes some 250 arrays. Where all
+sections follow one law that has a compiled copy, the loops have this answer with their last trial, which spares the fifth.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow.laws.compiled import PARAMETERS, number_of, table
+from fracflow.laws.compiled import PARAMETERS, Answers, number_of, table
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Joints
 from fracflow.model.operators import Operators
@@ -28,6 +29,7 @@ class Trial(NamedTuple):
     strain, traction  (s, 2) there [length], and of the copies of the laws [stress]
     left              (s, 2) what is left of the motion [length]
     moved, worst      largest size of the motion, and of what is left of it
+    answer            the sections there, where compiled laws answered with the last trial; else None
     """
 
     change: Floats
@@ -38,6 +40,7 @@ class Trial(NamedTuple):
     left: Floats
     moved: float
     worst: float
+    answer: Sections | None
 
 
 class _Batch:
@@ -58,6 +61,7 @@ class JointGuess:
         self._laws = clusters.exchange.there(_rows(self.joints))
         self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 7))
         self._batches = [_Batch(each) for each in clusters.batches]
+        self._friction = self.joints.copy_of_law if clusters.exchange.stays else None
 
     def solve(self, before: Sections, free: Floats, share: float) -> Trial:
         """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""
@@ -71,12 +75,17 @@ class JointGuess:
                     here[group.sections, column] = history[name].ravel()
         there, most = self.clusters.exchange.there(here), 0
         laws, given, found = address(self._laws), address(there), address(self._found)
+        answers: Answers | None = None
+        to: tuple[int | None, ...] = (0, 0, None, None)
+        if self._friction is not None:
+            answers = self._friction.empty()
+            to = len(here), int(self._friction.is_coupled), *map(address, answers)
         for batch in self._batches:
-            done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found)
+            done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found, *to)
             most = max(most, done) if done >= 0 and most >= 0 else -1
-        return self._trial(before.history, self.clusters.exchange.back(self._found), most)
+        return self._trial(before.history, self.clusters.exchange.back(self._found), most, answers)
 
-    def _trial(self, history: SectionHistory, back: Floats, iterations: int) -> Trial:
+    def _trial(self, history: SectionHistory, back: Floats, iterations: int, answers: Answers | None) -> Trial:
         loops, largest = library(), np.zeros(2)
         assert loops is not None
         change, strain, traction, left = (np.empty((len(back), 2)) for _ in range(4))
@@ -87,7 +96,11 @@ class JointGuess:
                 {**start, "sliding": back[group.sections, 2:3]} if "sliding" in start else start
                 for group, start in zip(self.joints.laws, history, strict=True)
             )
-        return Trial(change, status, iterations, strain, traction, left, *largest.tolist())
+        answer = None
+        if self._friction is not None and answers is not None and iterations >= 0:
+            answer = self.joints.answered(strain, self._friction.response(answers))
+        moved, worst = largest.tolist()
+        return Trial(change, status, iterations, strain, traction, left, moved, worst, answer)
 
 
 def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:

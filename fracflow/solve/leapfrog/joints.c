@@ -1,8 +1,8 @@
 /* The motion of joints in an explicit step, cluster by cluster, as ``joints.py`` has it for all at once, in the plane.
 
    A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Friction is that of ``laws/friction.h``, a linear law
-   as in ``linear.py``. */
-#include "../../laws/friction.h"
+   as in ``linear.py``. Where friction alone acts its answer is ``laws/response.h``'s, of the last trial. */
+#include "../../laws/response.h"
 #include "machines.h"
 #include <stdint.h>
 #include <string.h>
@@ -22,7 +22,7 @@ typedef struct {
 
 /* The response at a strain; ``status`` is the direction of sliding, 0 while it sticks, and stays where it is held; tractions are
    those of statuses held. 0 where crushed. */
-INLINE int responds(const double *law, const double *before, const double *strain, double status, int is_held, response *found) {
+INLINE int responds(const double *law, const double *before, const double *strain, double status, int is_held, friction *at, response *found) {
   double *f = found->traction, *d = found->tangent;
   d[1] = d[2] = 0.0, found->status = status;
   if (law[KIND] == LINEAR) {
@@ -32,12 +32,11 @@ INLINE int responds(const double *law, const double *before, const double *strai
   }
   if (!(strain[1] > -law[GAP])) return 0;
   const past was = {before[PLASTIC], status, before[PATH]};
-  friction at;
-  rub(law, &was, strain, is_held, &at);
-  f[0] = at.slides ? at.carried * at.way : at.is_free ? 0.0 : at.shear, f[1] = at.f_n;
-  d[0] = at.slides ? at.by_size * law[K_S] : at.is_free ? 0.0 : law[K_S], d[3] = at.k_n;
-  if (at.slides && at.f_n < 0.0) d[1] = at.by_normal * at.k_n * at.way;
-  found->status = at.slides ? at.way : 0.0;
+  rub(law, &was, strain, is_held, at);
+  f[0] = at->slides ? at->carried * at->way : at->is_free ? 0.0 : at->shear, f[1] = at->f_n;
+  d[0] = at->slides ? at->by_size * law[K_S] : at->is_free ? 0.0 : law[K_S], d[3] = at->k_n;
+  if (at->slides && at->f_n < 0.0) d[1] = at->by_normal * at->k_n * at->way;
+  found->status = at->slides ? at->way : 0.0;
   return 1;
 }
 
@@ -72,6 +71,7 @@ static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
 
 typedef struct {
   const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
+  friction at[MOST_MEMBERS]; /* of the last trial */
   double status[MOST_MEMBERS], next[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
 } cluster;
 
@@ -84,9 +84,10 @@ static int balances(cluster *c, int members, const double *compliance, double sh
     const double *before = c->before[m], weight = c->law[m][WEIGHT];
     const double strain[2] = {before[STRAIN] + c->change[2 * m], before[STRAIN + 1] + c->change[2 * m + 1]};
     response at;
-    if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return -1;
+    friction held;
+    if (!responds(c->law[m], before, strain, c->status[m], 0, c->at + m, &at)) return -1;
     c->next[m] = at.status, c->traction[2 * m] = at.traction[0], c->traction[2 * m + 1] = at.traction[1];
-    if (at.status != c->status[m]) responds(c->law[m], before, strain, c->status[m], 1, &at);
+    if (at.status != c->status[m]) responds(c->law[m], before, strain, c->status[m], 1, &held, &at);
     for (int k = 0; k < 4; k++) c->moduli[4 * m + k] = weight * at.tangent[k];
     for (int i = 0; i < 2; i++) {
       const double *d = at.tangent + 2 * i;
@@ -173,9 +174,10 @@ INLINE int balances_alike(cluster *c, int members, common *all) {
     change[0] = before[FREE] - all->x[0], change[1] = before[FREE + 1] - all->x[1];
     const double strain[2] = {before[STRAIN] + change[0], before[STRAIN + 1] + change[1]};
     response at;
-    if (!responds(c->law[m], before, strain, c->status[m], 0, &at)) return -1;
+    friction held;
+    if (!responds(c->law[m], before, strain, c->status[m], 0, c->at + m, &at)) return -1;
     c->next[m] = at.status, traction[0] = at.traction[0], traction[1] = at.traction[1];
-    if (at.status != c->status[m]) responds(c->law[m], before, strain, c->status[m], 1, &at);
+    if (at.status != c->status[m]) responds(c->law[m], before, strain, c->status[m], 1, &held, &at);
     for (int i = 0; i < 2; i++) {
       const double *d = at.tangent + 2 * i;
       all->moduli[2 * i] += weight * d[0], all->moduli[2 * i + 1] += weight * d[1];
@@ -238,9 +240,11 @@ INLINE int settles_alike(cluster *c, int members, const double *compliance, doub
 
 /* Of each section motion, status, traction, and what is left of the motion (s, 7), of clusters of as many members each, whose
    sections are ``rows`` of the tables.
+   Answers of ``count`` sections by friction, as of ``response.h``, and their statuses; NULL where laws find them.
    The most iterations of a cluster; -1 where one of them did not come into balance. */
 int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, const double *compliance, double share,
-                        const double *laws, const double *before, int32_t most, int32_t most_changes, double *found) {
+                        const double *laws, const double *before, int32_t most, int32_t most_changes, double *found,
+                        int32_t count, int32_t is_coupled, double *answers, int8_t *statuses) {
   int32_t worst = 0;
   if (members > MOST_MEMBERS) return -1;
   for (int64_t k = 0; k < clusters; k++) {
@@ -262,6 +266,10 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
       double *to = found + FOUND * row[m];
       to[0] = c.change[2 * m], to[1] = c.change[2 * m + 1], to[2] = c.status[m];
       to[3] = c.traction[2 * m], to[4] = c.traction[2 * m + 1], to[5] = c.left[2 * m], to[6] = c.left[2 * m + 1];
+      if (!answers) continue;
+      const double *was = c.before[m], strain[2] = {was[STRAIN] + to[0], was[STRAIN + 1] + to[1]};
+      const past history = {was[PLASTIC], c.status[m], was[PATH]};
+      answer(c.law[m], &history, c.at + m, strain, is_coupled, c.law[m][KIND] == WEAKENING, row[m], count, answers, statuses);
     }
   }
   return worst;

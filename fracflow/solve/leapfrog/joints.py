@@ -118,9 +118,11 @@ class JointSolver:
         Tractions that are those of the guess, to the bit, are in balance as it found them.
         """
         joints, trial = self.operators.joints, guess.solve(before, free, share)
-        answer = joints.evaluate(trial.strain, trial.status, step)
-        is_bad = trial.iterations < 0 or bool(joints.have_changed(trial.status, answer.history).any())
-        is_same, comm = bool((answer.traction == trial.traction).all()), self.operators.layout.comm
+        answer, is_bad, is_same, comm = trial.answer, trial.iterations < 0, True, self.operators.layout.comm
+        if answer is None:
+            answer = joints.evaluate(trial.strain, trial.status, step)
+            is_bad |= bool(joints.have_changed(trial.status, answer.history).any())
+            is_same = bool((answer.traction == trial.traction).all())
         worst, beyond = trial.worst, 0.0
         if not (is_same if comm.size == 1 else comm.allreduce(is_same, op=MPI.LAND)):
             left, _, size = self._balance(before, free, trial.change, answer)
