@@ -92,10 +92,14 @@ class CompiledFriction:
         if n != len(self._rows):
             raise ValueError(f"{n} strains for {len(self._rows)} sections")
         answers = self.empty()
-        given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *map(history.__getitem__, self._names))]
+        given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *self.past(history))]
         arrays = [*map(_address, given), None][:4]
         self._loop(n, step.hold, self.is_coupled, self._of_laws, *arrays, *map(_address, answers))
         return self.response(answers)
+
+    def past(self, history: History) -> list[Floats]:
+        """Plastic slips, directions of sliding and, where the law has them, paths of slip (n,)."""
+        return [history[name] for name in self._names]
 
     def empty(self) -> Answers:
         """Arrays that a loop fills with the answers of all sections."""

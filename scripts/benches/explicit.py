@@ -179,27 +179,33 @@ def section(unknowns: float, cells: str, faults: list[int], way: Way) -> dict[st
     """
     from fracflow.solve.explicit import ExplicitModel
 
-    scenes, counts, critical, alone = [], [], [], []
+    models, scenes, critical = [], [], []
     for number in faults:
         data, model = prepared(unknowns, cells, number)
         explicit = ExplicitModel(model.scene, model.operators, model.loads)
-        scenes.append(data)
-        counts.append((int(model.operators.layout.solid_starts[-1]), 2 * model.operators.blocks.sizes.joints))
         critical.append(explicit.critical)
-        alone.append(sweep(model)[0])
         explicit.destroy()
-    turns = [[whole(*each, way, np.min) for each in zip(scenes, critical, strict=True)] for _ in range(way.turns)]
-    steps, (size, sections) = np.min(turns, axis=0), np.array(counts).T
+        models.append(model)
+        scenes.append(data)
+    turns = [
+        [
+            (sweep(model)[0], whole(data, step, way, np.min))
+            for model, data, step in zip(models, scenes, critical, strict=True)
+        ]
+        for _ in range(way.turns)
+    ]
+    alone, steps = np.min(turns, axis=0).T
+    size = np.array([int(each.operators.layout.solid_starts[-1]) for each in models])
+    sections = np.array([2 * each.operators.blocks.sizes.joints for each in models])
     of_unknown, of_step, beyond = alone[0] / size[0], steps[0] / size[0], steps - alone
     of_section = (beyond - beyond[0])[1:] / (sections - sections[0])[1:] + of_unknown  # of its walls it has one
     return {
         "cells": cells, "faults": faults, "unknowns": size.tolist(), "sections": sections.tolist(),
-        "step_ms": [round(1e3 * each, 3) for each in steps.tolist()], "sweep_ms": [round(1e3 * each, 3) for each in alone],
-        "ns_of_section": [round(1e9 * each, 1) for each in of_section.tolist()],
+        "step_ms": (1e3 * steps).round(3).tolist(), "sweep_ms": (1e3 * alone).round(3).tolist(),
+        "ns_of_section": (1e9 * of_section).round(1).tolist(),
         "ns_of_unknown": {"sweep": round(1e9 * of_unknown, 2), "step": round(1e9 * of_step, 2)},
         "section_in_unknowns": {
-            name: [round(each, 1) for each in (of_section / other).tolist()]
-            for name, other in (("sweep", of_unknown), ("step", of_step))
+            "sweep": (of_section / of_unknown).round(1).tolist(), "step": (of_section / of_step).round(1).tolist(),
         },
     }  # fmt: skip
 

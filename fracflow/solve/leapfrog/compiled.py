@@ -36,8 +36,8 @@ _FUNCTIONS = {
     "fracflow_accelerate": (None, (_INT, *[_ARRAY] * 4)),
     "fracflow_damp": (_REAL, (_INT, *[_ARRAY] * 3, _REAL, *[_ARRAY] * 4)),
     "fracflow_gain": (_REAL, (_INT, *[_ARRAY] * 4)),
-    "fracflow_before": (None, (_INT, *[_ARRAY] * 5)),
-    "fracflow_after": (_INT, (_INT, *[_ARRAY] * 7)),
+    "fracflow_before": (None, (_INT, *[_ARRAY] * 8)),
+    "fracflow_after": (_INT, (_INT, *[_ARRAY] * 4)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 

@@ -67,12 +67,7 @@ class JointGuess:
         """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""
         loops, here = library(), self._before
         assert loops is not None
-        known = [np.ascontiguousarray(each, float) for each in (free, before.strain, before.traction, before.tangent)]
-        loops.fracflow_before(len(here), *map(address, (*known, here)))
-        for group, history in zip(self.joints.laws, before.history, strict=True):
-            for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
-                if name in history:
-                    here[group.sections, column] = history[name].ravel()
+        self._take(before, free)
         there, most = self.clusters.exchange.there(here), 0
         laws, given, found = address(self._laws), address(there), address(self._found)
         answers: Answers | None = None
@@ -85,12 +80,25 @@ class JointGuess:
             most = max(most, done) if done >= 0 and most >= 0 else -1
         return self._trial(before.history, self.clusters.exchange.back(self._found), most, answers)
 
-    def _trial(self, history: SectionHistory, back: Floats, iterations: int, answers: Answers | None) -> Trial:
-        loops, largest = library(), np.zeros(2)
+    def _take(self, before: Sections, free: Floats) -> None:
+        loops, here = library(), self._before
         assert loops is not None
-        change, strain, traction, left = (np.empty((len(back), 2)) for _ in range(4))
-        found = map(address, (self._before, back, change, strain, traction, left, largest))
-        status = history
+        known = [free, before.strain, before.traction, before.tangent]
+        if self._friction is not None:
+            known += self._friction.past(before.history[0])
+        else:
+            for group, history in zip(self.joints.laws, before.history, strict=True):
+                for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
+                    if name in history:
+                        here[group.sections, column] = history[name].ravel()
+        known = [np.ascontiguousarray(each, float) for each in known]
+        given: list[int | None] = [*map(address, known), None, None, None]
+        loops.fracflow_before(len(here), *given[:7], address(here))
+
+    def _trial(self, history: SectionHistory, back: Floats, iterations: int, answers: Answers | None) -> Trial:
+        loops, largest, strain = library(), np.zeros(2), np.empty((len(back), 2))
+        assert loops is not None
+        found, status = map(address, (self._before, back, strain, largest)), history
         if loops.fracflow_after(len(back), *found):
             status = tuple(
                 {**start, "sliding": back[group.sections, 2:3]} if "sliding" in start else start
@@ -100,7 +108,7 @@ class JointGuess:
         if self._friction is not None and answers is not None and iterations >= 0:
             answer = self.joints.answered(strain, self._friction.response(answers))
         moved, worst = largest.tolist()
-        return Trial(change, status, iterations, strain, traction, left, moved, worst, answer)
+        return Trial(back[:, :2], status, iterations, strain, back[:, 3:5], back[:, 5:], moved, worst, answer)
 
 
 def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:

@@ -100,28 +100,29 @@ FOR_MACHINES double fracflow_damp(int32_t n, const int32_t *starts, const int32_
   return work;
 }
 
-/* Columns of sections before a step, as ``joints.c`` has them, but for their histories. */
-void fracflow_before(int32_t n, const double *free, const double *strain, const double *traction, const double *tangent, double *before) {
+/* Columns of sections before a step, as ``joints.c`` has them; histories that are NULL are left as they are. */
+void fracflow_before(int32_t n, const double *free, const double *strain, const double *traction, const double *tangent,
+                     const double *plastic, const double *sliding, const double *path, double *before) {
   for (int64_t i = 0; i < n; i++) {
     double *row = before + 13 * i;
     row[0] = free[2 * i], row[1] = free[2 * i + 1], row[2] = strain[2 * i], row[3] = strain[2 * i + 1];
     row[4] = traction[2 * i], row[5] = traction[2 * i + 1];
     for (int k = 0; k < 4; k++) row[6 + k] = tangent[4 * i + k];
+    if (plastic) row[10] = plastic[i], row[11] = sliding[i];
+    if (path) row[12] = path[i];
   }
 }
 
-/* What a step found, as ``joints.c`` has it, in arrays of their own: motion, strain after it, traction, and what is left. Into
-   ``largest`` the most of motion and of what is left; whether any status has changed. */
-int32_t fracflow_after(int32_t n, const double *before, const double *found, double *change, double *strain, double *traction,
-                       double *left, double *largest) {
+/* Strains (n, 2) after a step that ``joints.c`` found. Into ``largest`` the most of motion and of what is left of it; whether any
+   status has changed. */
+int32_t fracflow_after(int32_t n, const double *before, const double *found, double *strain, double *largest) {
   int changes = 0;
   double most = 0.0, worst = 0.0;
   for (int64_t i = 0; i < n; i++) {
     const double *was = before + 13 * i, *is = found + 7 * i;
     changes |= was[11] != is[2];
     for (int k = 0; k < 2; k++) {
-      change[2 * i + k] = is[k], strain[2 * i + k] = was[2 + k] + is[k];
-      traction[2 * i + k] = is[3 + k], left[2 * i + k] = is[5 + k];
+      strain[2 * i + k] = was[2 + k] + is[k];
       most = fabs(is[k]) > most ? fabs(is[k]) : most, worst = fabs(is[5 + k]) > worst ? fabs(is[5 + k]) : worst;
     }
   }
