@@ -107,7 +107,7 @@ class CompiledFriction:
         return Answers(np.empty(15 * n), np.empty((2, n), dtype=bool))
 
     def response(self, answers: Answers) -> JointResponse:
-        """What a loop has put there."""
+        """The response (n, ...) that a loop has put there."""
         n, (found, statuses) = len(self._rows), answers
         new = {"plastic_slip": found[12 * n : 13 * n, None], "sliding": found[13 * n : 14 * n, None]}
         if self._has_path:

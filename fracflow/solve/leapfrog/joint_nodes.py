@@ -15,9 +15,10 @@ Array = NDArray[Any]
 
 
 class Pushed(NamedTuple):
-    """What loads and joints do at ``Nodes.pushed`` in a step; ``moved`` is the motion (n,) of ``Nodes.every``.
+    """Changes by loads and joints in a step, at ``Nodes.pushed``.
 
-    force  (p,) change of their forces [force per thickness];  ``added`` (p,) that of displacements by it [length]
+    force  (p,) of their forces [force per thickness];  ``added`` (p,) of displacements by that [length]
+    moved  (n,) motion of ``Nodes.every`` [length]
     """
 
     force: Floats
@@ -190,8 +191,8 @@ class CompiledJointNodes:
 
 def joint_nodes(nodes: Nodes) -> JointNodes:
     """The compiled passes where they serve on all ranks, else the others. Collective."""
-    comm, dim = nodes.operators.layout.comm, nodes.operators.joints.dim
-    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not nodes.jump.is_own
+    comm, dim, is_own = nodes.operators.layout.comm, nodes.operators.joints.dim, nodes.jump.is_own
+    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not is_own
     return PlainJointNodes(nodes) if comm.allreduce(int(lacks)) else CompiledJointNodes(nodes)
 
 
