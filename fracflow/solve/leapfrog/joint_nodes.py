@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.nodes import Nodes
 
@@ -126,7 +126,7 @@ class CompiledJointNodes:
         loops, rock = library(), nodes.rock
         assert loops is not None
         self._loops = loops
-        starts, columns, entries = nodes.jump.own_rows()
+        starts, columns, entries = _by_sections(nodes)
         numbers = starts, nodes.at_jump[columns], nodes.by_joints[columns], nodes.pushed
         starts, at, to, pushed = (_kept(each, np.int32) for each in numbers)
         entries, weights = _kept(entries, float), _kept(nodes.operators.joints.weights, float)
@@ -147,7 +147,7 @@ class CompiledJointNodes:
     def jump(self, moved: Floats) -> Floats:
         """Changes of strains (s, dim) by a motion (n,) [length]."""
         found = np.empty((self._sections, 2))
-        self._loops.fracflow_jumps(found.size, *self._rows, address(moved), address(found))
+        self._loops.fracflow_jumps(self._sections, *self._rows, address(moved), address(found))
         return found
 
     def pull(self, step: Pushed, before: Floats, after: Floats, share: float) -> Floats:
@@ -189,10 +189,25 @@ class CompiledJointNodes:
         return float(self._loops.fracflow_gain(len(force), *given))
 
 
+def _shares_columns(nodes: Nodes) -> bool:
+    """Whether both rows of G of each section in the plane have the same columns, as ``model.joints`` makes them."""
+    starts, columns, _ = nodes.jump.own_rows()
+    counts = np.diff(starts)
+    even = np.repeat(np.arange(len(counts)) % 2 == 0, counts)
+    return np.array_equal(counts[::2], counts[1::2]) and np.array_equal(columns[even], columns[~even])
+
+
+def _by_sections(nodes: Nodes) -> tuple[Ints, Ints, Floats]:
+    """Starts (s + 1,), columns (k,) among those of G, and entries (k, 2) of both rows of each section."""
+    starts, columns, entries = nodes.jump.own_rows()
+    even = np.repeat(np.arange(len(starts) - 1) % 2 == 0, np.diff(starts))
+    return starts[::2] // 2, columns[even], np.stack([entries[even], entries[~even]], axis=1)
+
+
 def joint_nodes(nodes: Nodes) -> JointNodes:
     """The compiled passes where they serve on all ranks, else the others. Collective."""
     comm, dim, is_own = nodes.operators.layout.comm, nodes.operators.joints.dim, nodes.jump.is_own
-    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not is_own
+    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not is_own or not _shares_columns(nodes)
     return PlainJointNodes(nodes) if comm.allreduce(int(lacks)) else CompiledJointNodes(nodes)
 
 

@@ -1,7 +1,7 @@
 /* Passes of an explicit step over the nodes of joints in the plane, each of which ``joint_nodes.py`` has in NumPy too.
 
-   Rows of G are two a section: row r has entries from starts[r] on, at places ``at`` of all nodes on which more than the rock
-   acts, and at places ``to`` of those that are pushed. */
+   Section s has entries from starts[s] on, two each, of both its rows of G, at places ``at`` of all nodes on which more than the
+   rock acts, and at places ``to`` of those that are pushed. */
 #include "machines.h"
 #include <math.h>
 #include <stdint.h>
@@ -12,42 +12,48 @@ void fracflow_predict(int32_t n, const int64_t *place, const double *v, double d
   for (int64_t i = 0; i < n; i++) moved[i] = dt * v[place[i]];
 }
 
-/* G times motion, by rows. */
-void fracflow_jumps(int32_t rows, const int32_t *starts, const int32_t *at, const double *entries, const double *moved, double *found) {
-  for (int64_t r = 0; r < rows; r++) {
-    double sum = 0.0;
-    for (int32_t k = starts[r]; k < starts[r + 1]; k++) sum += entries[k] * moved[at[k]];
-    found[r] = sum;
+/* G times motion, (n, 2). */
+void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved, double *found) {
+  for (int64_t s = 0; s < n; s++) {
+    double x = 0.0, y = 0.0;
+    for (int64_t k = starts[s]; k < starts[s + 1]; k++) {
+      const double u = moved[at[k]];
+      x += entries[2 * k] * u, y += entries[2 * k + 1] * u;
+    }
+    found[2 * s] = x, found[2 * s + 1] = y;
   }
 }
 
 /* Forces G' W (before - after) of sections on pushed nodes (p,), which they also add to ``pushed``; S M^-1 of them is added to
-   ``added`` and to the motion there, at places ``of_pushed``. |G| |motion| after that, by rows, into ``sizes``. */
-void fracflow_pull(int32_t sections, int32_t p, const int32_t *starts, const int32_t *at, const int32_t *to, const double *entries,
+   ``added`` and to the motion there, at places ``of_pushed``. |G| |motion| after that into ``sizes`` (n, 2). */
+void fracflow_pull(int32_t n, int32_t p, const int32_t *starts, const int32_t *at, const int32_t *to, const double *entries,
                    const double *weights, const double *before, const double *after, const double *inverse, double share,
                    const int32_t *of_pushed, double *force, double *pushed, double *added, double *moved, double *sizes) {
   memset(force, 0, sizeof(double) * (size_t)p);
-  for (int64_t r = 0; r < 2 * (int64_t)sections; r++) {
-    const double pulled = weights[r / 2] * (before[r] - after[r]);
-    for (int32_t k = starts[r]; k < starts[r + 1]; k++) force[to[k]] += entries[k] * pulled;
+  for (int64_t s = 0; s < n; s++) {
+    const double x = weights[s] * (before[2 * s] - after[2 * s]), y = weights[s] * (before[2 * s + 1] - after[2 * s + 1]);
+    for (int64_t k = starts[s]; k < starts[s + 1]; k++) force[to[k]] += entries[2 * k] * x + entries[2 * k + 1] * y;
   }
   for (int64_t i = 0; i < p; i++) {
     const double more = share * (inverse[i] * force[i]);
     pushed[i] += force[i], added[i] += more, moved[of_pushed[i]] += more;
   }
-  for (int64_t r = 0; r < 2 * (int64_t)sections; r++) {
-    double sum = 0.0;
-    for (int32_t k = starts[r]; k < starts[r + 1]; k++) sum += fabs(entries[k]) * fabs(moved[at[k]]);
-    sizes[r] = sum;
+  for (int64_t s = 0; s < n; s++) {
+    double x = 0.0, y = 0.0;
+    for (int64_t k = starts[s]; k < starts[s + 1]; k++) {
+      const double u = fabs(moved[at[k]]);
+      x += fabs(entries[2 * k]) * u, y += fabs(entries[2 * k + 1]) * u;
+    }
+    sizes[2 * s] = x, sizes[2 * s + 1] = y;
   }
 }
 
 /* force -= G' W f */
-void fracflow_resist(int32_t sections, const int32_t *starts, const int32_t *at, const double *entries, const double *weights,
+void fracflow_resist(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *weights,
                      const double *traction, double *force) {
-  for (int64_t r = 0; r < 2 * (int64_t)sections; r++) {
-    const double pulled = weights[r / 2] * traction[r];
-    for (int32_t k = starts[r]; k < starts[r + 1]; k++) force[at[k]] -= entries[k] * pulled;
+  for (int64_t s = 0; s < n; s++) {
+    const double x = weights[s] * traction[2 * s], y = weights[s] * traction[2 * s + 1];
+    for (int64_t k = starts[s]; k < starts[s + 1]; k++) force[at[k]] -= entries[2 * k] * x + entries[2 * k + 1] * y;
   }
 }
 
