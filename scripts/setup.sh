@@ -44,7 +44,7 @@ _fracflow_install_system() {
 
 _fracflow_stamp() {
   (cd "$_fracflow_root" && { cat scripts/constraints.txt ${1:-} scripts/setup.sh pyproject.toml \
-    fracflow/laws/*.[ch] fracflow/solve/leapfrog/*.c
+    fracflow/laws/*.[ch] fracflow/solve/leapfrog/*.[ch]
     pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
 }
 

@@ -35,13 +35,7 @@ PLAIN = {"laws", "elements", "integrators"}  # NumPy only
 SHARED_LAWS = {
     "__init__", "base", "closure", "compiled", "cubic_flow", "elastic", "friction", "leak_off", "roughness", "terms",
 }  # fmt: skip
-BESIDE = {
-    ("storage", "errors"),
-    ("storage", "records"),
-    ("errors", "records"),
-    ("_petsc", "errors"),
-    ("__main__", "cli"),
-}
+BESIDE = {("storage", "errors"), ("storage", "records"), ("_petsc", "errors"), ("__main__", "cli")}
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fracflow.laws.base import Floats, History, JointLaw, JointResponse, LawStep, per_section
+from fracflow.laws.base import Bools, Floats, History, JointLaw, JointResponse, LawStep, per_section
 
 VERSION = 1  # of the function's arguments, as in friction.c
 _INT, _ARRAY = ctypes.c_int32, ctypes.c_void_p
@@ -65,13 +66,20 @@ def table(law: JointLaw, weights: Floats) -> Floats:
     return rows
 
 
+class Answers(NamedTuple):
+    """Values (15 n,) and statuses (2, n) of sections, in the order of ``response.h``."""
+
+    values: Floats
+    statuses: Bools
+
+
 class CompiledFriction:
     """A law of friction for as many sections as it is made for."""
 
     def __init__(self, law: JointLaw, sections: int) -> None:
         """Bring its parameters into a table."""
         self._rows = table(law, np.zeros(sections))
-        self._is_coupled, self._has_path = bool(getattr(law, "coupled_tangent", True)), "slip_path" in law.history
+        self.is_coupled, self._has_path = bool(getattr(law, "coupled_tangent", True)), "slip_path" in law.history
         self._names = ("plastic_slip", "sliding", *["slip_path"][: self._has_path])
         compiled = library()
         assert compiled is not None
@@ -83,10 +91,24 @@ class CompiledFriction:
         n = len(strain)
         if n != len(self._rows):
             raise ValueError(f"{n} strains for {len(self._rows)} sections")
-        found, statuses = np.empty(15 * n), np.empty((2, n), dtype=bool)
-        given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *map(history.__getitem__, self._names))]
+        answers = self.empty()
+        given = [np.ascontiguousarray(each, dtype=float) for each in (strain, *self.past(history))]
         arrays = [*map(_address, given), None][:4]
-        self._loop(n, step.hold, self._is_coupled, self._of_laws, *arrays, _address(found), _address(statuses))
+        self._loop(n, step.hold, self.is_coupled, self._of_laws, *arrays, *map(_address, answers))
+        return self.response(answers)
+
+    def past(self, history: History) -> list[Floats]:
+        """Plastic slips, directions of sliding and, where the law has them, paths of slip (n,)."""
+        return [history[name] for name in self._names]
+
+    def empty(self) -> Answers:
+        """Arrays that a loop fills with the answers of all sections."""
+        n = len(self._rows)
+        return Answers(np.empty(15 * n), np.empty((2, n), dtype=bool))
+
+    def response(self, answers: Answers) -> JointResponse:
+        """The response (n, ...) that a loop has put there."""
+        n, (found, statuses) = len(self._rows), answers
         new = {"plastic_slip": found[12 * n : 13 * n, None], "sliding": found[13 * n : 14 * n, None]}
         if self._has_path:
             new["slip_path"] = found[14 * n :]
@@ -104,12 +126,17 @@ class CompiledFriction:
         )
 
 
-def _address(values: Floats) -> int:
+def _address(values: NDArray[Any]) -> int:
     found: int = values.__array_interface__["data"][0]  # a tenth of the time of values.ctypes
     return found
 
 
+def copy_of(law: JointLaw, sections: int, dim: int) -> CompiledFriction | None:
+    """The compiled copy of a law for so many sections; None where there is none."""
+    has_copy = dim == 2 and number_of(law) in OF_FRICTION and library() is not None
+    return CompiledFriction(law, sections) if has_copy else None
+
+
 def fastest(law: JointLaw, sections: int, dim: int) -> Evaluates:
     """The compiled copy of a law for so many sections, where there is one; else the law itself."""
-    has_copy = dim == 2 and number_of(law) in OF_FRICTION and library() is not None
-    return CompiledFriction(law, sections) if has_copy else law
+    return copy_of(law, sections, dim) or law

@@ -1,68 +1,16 @@
 /* The response of all sections of a law at once; ``compiled.py`` calls it. */
-#include "friction.h"
-#include <stdint.h>
-
-#define TINY_STRENGTH 1e-9 /* ``friction.TINY_STRENGTH`` */
+#include "response.h"
 
 const int fracflow_laws_version = 1;
 
-/* ``closure._minus_log`` */
-static double minus_log(double x) {
-  const double series = x * x * (0.5 - x * (1.0 / 3.0 - x * (0.25 - x * (0.2 - x / 6.0))));
-  return fabs(x) < 1e-3 ? series : x - log1p(x > -1.0 ? x : 0.0);
-}
-
-/* Energy of ``NormalClosure.evaluate``. */
-static double energy_of(const double *law, double opening) {
-  const double eps = least_of(opening, edge_of(law)), hyperbola = law[GAP] * law[GAP] * minus_log(least_of(eps, 0.0) / law[GAP]);
-  return law[F_N] * eps + law[K_N] * (opening < 0.0 ? hyperbola : 0.5 * (eps * eps));
-}
-
-/* ``Trial.margin`` */
-static double margin_of(const double *law, const past *before, const friction *at, double opening) {
-  if (at->is_free) return law[F_N] < 0.0 ? fabs(law[F_N] + law[K_N] * opening) / -law[F_N] : INFINITY;
-  if (!isfinite(at->onset) || (!(at->size > 0.0) && !(at->onset > 0.0))) return INFINITY;
-  const double excess = before->sliding != 0.0 ? at->along - at->kept : at->size - at->onset;
-  return fabs(excess) / most_of(at->onset, TINY_STRENGTH * most_of(fabs(law[F_N]), law[K_N] * law[GAP]));
-}
-
-/* ``friction._quotient`` */
-static double used(double size, double strength) {
-  if (strength > 0.0) return size / strength;
-  return size > 0.0 ? INFINITY : 0.0;
-}
-
-/* ``Trial.response`` of sections (n,): their laws (n, LAW), strains (n, 2), and their histories; the path of slip may be NULL.
-   Products with 0 are made as the laws make them: where a traction overflows they have no number, and the trial is refused.
-   In ``found`` follow tractions, tangents, inelastic strains, stored energies, strengths, utilisations, margins, plastic slips,
-   directions of sliding and paths; in ``statuses`` whether they slide, and whether they are open. */
+/* ``answer`` of sections (n,): their laws (n, LAW), strains (n, 2), and their histories; the path of slip may be NULL. */
 void fracflow_friction(int32_t n, int32_t is_held, int32_t is_coupled, const double *laws, const double *strains,
                        const double *plastic, const double *sliding, const double *path, double *found, int8_t *statuses) {
-  double *traction = found, *tangent = traction + 2 * n, *inelastic = tangent + 4 * n, *stored = inelastic + 2 * n;
-  double *strength = stored + n, *utilisation = strength + n, *margin = utilisation + n, *new_plastic = margin + n;
-  double *new_sliding = new_plastic + n, *new_path = new_sliding + n;
-  for (int32_t i = 0; i < n; i++) {
-    const double *law = laws + LAW * i, *strain = strains + 2 * i, k_s = law[K_S];
+  for (int64_t i = 0; i < n; i++) {
+    const double *law = laws + LAW * i, *strain = strains + 2 * i;
     const past before = {plastic[i], sliding[i], path ? path[i] : 0.0};
     friction at;
     rub(law, &before, strain, is_held, &at);
-    const double held = at.slides ? at.carried : 0.0, divisor = at.size > 0.0 ? at.size : 1.0;
-    const double f_s = at.slides ? held * at.way : at.is_free ? 0.0 : at.shear;
-    const double outer = at.slides * at.way * at.way, ratio = (at.slides ? held / divisor : at.is_free ? 0.0 : 1.0) * k_s;
-    const double slope = at.slides && at.f_n < 0.0 && !at.is_crushed ? at.by_normal : 0.0;
-    traction[2 * i] = f_s, traction[2 * i + 1] = at.f_n;
-    tangent[4 * i] = ratio * (1.0 - outer) + at.by_size * k_s * outer;
-    tangent[4 * i + 1] = is_coupled ? slope * (at.is_crushed ? 0.0 : at.k_n) * at.way : 0.0;
-    tangent[4 * i + 2] = 0.0, tangent[4 * i + 3] = at.k_n;
-    new_plastic[i] = at.is_crushed ? before.plastic : before.plastic + (at.shear - f_s) / k_s;
-    new_sliding[i] = at.is_crushed ? before.sliding : at.slides * at.way;
-    inelastic[2 * i] = new_plastic[i], inelastic[2 * i + 1] = 0.0;
-    stored[i] = (at.k_n == INFINITY ? INFINITY : energy_of(law, strain[1])) + (f_s * f_s - law[F_S] * law[F_S]) / (2.0 * k_s);
-    const int slips = path && at.slides && !at.is_crushed && at.slip > 0.0;
-    strength[i] = slips ? at.carried : at.onset;
-    utilisation[i] = at.slides ? 1.0 : used(sqrt(f_s * f_s), strength[i]);
-    margin[i] = margin_of(law, &before, &at, strain[1]);
-    if (path) new_path[i] = before.path + (slips ? at.slip : 0.0);
-    statuses[i] = (int8_t)at.slides, statuses[n + i] = (int8_t)at.is_open;
+    answer(law, &before, &at, strain, is_coupled, path != 0, i, n, found, statuses);
   }
 }

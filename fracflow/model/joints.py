@@ -15,8 +15,8 @@ from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, PlasticSlip, dilating, make_law, parameters_of
-from fracflow.laws.base import INSTANT
-from fracflow.laws.compiled import Evaluates, fastest
+from fracflow.laws.base import INSTANT, JointResponse
+from fracflow.laws.compiled import CompiledFriction, Evaluates, copy_of, fastest
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, matrix_of, product
@@ -200,11 +200,7 @@ class Joints:
         """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
         count, dim = len(strain), self.dim
         if self._is_alone:
-            response = self._fastest[0].evaluate(strain, history[0], step)
-            whole = {name: getattr(response, name) for name in RESPONSE}
-            return Sections(
-                strain=strain, blur=np.zeros((count, dim)), record=np.zeros(count), history=(response.history,), **whole
-            )
+            return self.answered(strain, self._fastest[0].evaluate(strain, history[0], step))
         whole = {
             "traction": np.zeros((count, dim)),
             "tangent": np.zeros((count, dim, dim)),
@@ -223,6 +219,17 @@ class Joints:
                 values[group.sections] = getattr(response, name)
             new.append(response.history)
         return Sections(strain=strain, blur=np.zeros((count, dim)), record=np.zeros(count), history=tuple(new), **whole)
+
+    def answered(self, strain: Floats, response: JointResponse) -> Sections:
+        """All sections at strains (s, dim) where one law answers for them, in their order."""
+        count, whole = len(strain), {name: getattr(response, name) for name in RESPONSE}
+        blur, record = np.zeros((count, self.dim)), np.zeros(count)
+        return Sections(strain=strain, blur=blur, record=record, history=(response.history,), **whole)
+
+    @cached_property
+    def copy_of_law(self) -> CompiledFriction | None:
+        """The compiled copy of the law that all sections follow, in their order; None where there is none."""
+        return copy_of(self.laws[0].law, len(self.weights), self.dim) if self._is_alone else None
 
     @cached_property
     def _fastest(self) -> tuple[Evaluates, ...]:

@@ -1,6 +1,7 @@
 """Explicit steps against memory and arithmetic: explicit.py [UNKNOWNS...] [--cells triangles quads] [--ranks N] [--out DIR].
 
 With --rupture SIDE instead all of meshes/rupture on squares of that side: CPU seconds between its first state and its last.
+With --sections FAULTS... instead the cost of a joint section in unknowns, by rocks with so many faults beside each other.
 
 A rupture of a fault between four absorbing sides, in rock of so many unknowns. Counted are CPU seconds of a rank between the
 first and the last state on record, so that joints, sides, energies and history are in them; a state is on record every
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +33,14 @@ UNKNOWNS, CELLS = (1e5, 4e5, 1e6), ("triangles", "quads")
 AREA = 40e3 * 24e3  # of the scene [m^2]
 CACHED = 1e4  # unknowns whose values stay in the fastest memory
 ASKED = 3e7  # unknown-steps per CPU second
+MOST_OF_SECTION = 30.0  # unknowns, whose steps cost as much as that of a section
 EDGES = ((6.0, 70.0), (9.0, 78.0), (13.5, 70.0), (16.5, 81.6), (21.0, 70.0), (24.0, 62.0), (30.0, 70.0))
 """(km, MPa): up to where along the fault the shear stress is so much."""
 FIRST = 2  # states on record that do not count
 
 
-def scene_of(size: float, steps: int) -> dict[str, Any]:
-    """A fault of 30 km in the middle of 40 km by 24 km, which ruptures from a patch at its centre."""
+def scene_of(size: float, steps: int, faults: int = 1) -> dict[str, Any]:
+    """Faults of 30 km at equal distances in 40 km by 24 km, each of which ruptures from a patch at its centre."""
     start, along, value = 0.0, [], []
     for end, stress in EDGES:
         along += [start * 1e3 + (2e-3 if start else 0.0), end * 1e3]
@@ -48,14 +51,15 @@ def scene_of(size: float, steps: int) -> dict[str, Any]:
         "friction_coefficient": 0.677, "dynamic_friction_coefficient": 0.525, "slip_weakening_distance": 0.4,
         "initial_shear_traction": {"along": along, "value": value},
     }  # fmt: skip
+    heights = {f"fault {i + 1}": 24e3 * ((i + 1) / (faults + 1) - 0.5) for i in range(faults)}
     return {
         "geometry": {
             "domain": [-20e3, -12e3, 20e3, 12e3], "size": size, "size_at_fractures": size, "growth": 0.3,
-            "fracture": [{"name": "main", "points": [[-15e3, 0.0], [15e3, 0.0]]}],
+            "fracture": [{"name": name, "points": [[-15e3, y], [15e3, y]]} for name, y in heights.items()],
         },
         "rock": {"rock": {"youngs_modulus": 80.0986e9, "poissons_ratio": 0.2500222, "density": 2670.0}},
         "initial_stress": {"xx": -120e6, "yy": -120e6, "xy": 70e6, "unbalanced": "carried"},
-        "fracture": {"main": fault},
+        "fracture": dict.fromkeys(heights, fault),
         "absorbing": [{"on": ["west", "east", "south", "north"]}],
         "method": {"stepper": "explicit"},
         "output": {"pictures": False},
@@ -70,13 +74,13 @@ def size_of(unknowns: float, cells: str) -> float:
     return float(np.sqrt(AREA / of_one * nodes_a_cell / (0.5 * unknowns)))
 
 
-def prepared(unknowns: float, cells: str) -> Any:
+def prepared(unknowns: float, cells: str, faults: int = 1) -> Any:
     """The scene; its steps are as long as the critical one."""
     from fracflow._petsc import MPI
     from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
-    data = scene_of(size_of(unknowns, cells), 1)
+    data = scene_of(size_of(unknowns, cells), 1, faults)
     data["geometry"]["cells"] = cells
     return data, prepare(Scene.from_data(data), MPI.COMM_WORLD)
 
@@ -119,17 +123,26 @@ def triad(length: int = 10_000_000) -> float:
     return 24.0 * length / best(lambda: loops.fracflow_triad(length, address(a), address(b), address(c), 3.0), 1)
 
 
-def whole(data: dict[str, Any], step: float, parts: int, states: int, folder: Path) -> float:
-    """CPU seconds of a ``step`` [s] with all that belongs to it, the mean over ranks."""
+@dataclass(frozen=True)
+class Way:
+    """Steps from state to state on record, states, runs of each rock of ``section``, and the folder of the run."""
+
+    parts: int
+    states: int
+    turns: int
+    folder: Path
+
+
+def whole(data: dict[str, Any], step: float, way: Way, middle: Callable[[Any], Any] = np.mean) -> float:
+    """CPU seconds of a ``step`` [s] with all that belongs to it, the mean over ranks of the ``middle`` of all states."""
     from fracflow._petsc import MPI
     from fracflow.scene.scene import Scene
     from fracflow.simulation.run import run
 
     comm, marks = MPI.COMM_WORLD, list[float]()
-    data["stage"][0] |= {"time_step": parts * (1.0 - 1e-9) * step, "steps": states}
-    run(Scene.from_data(data), folder, comm, progress=lambda step: marks.append(time.process_time()))
-    spent: float = comm.allreduce(marks[-1] - marks[FIRST - 1]) / comm.size
-    return spent / ((len(marks) - FIRST) * parts)
+    data["stage"][0] |= {"time_step": way.parts * (1.0 - 1e-9) * step, "steps": way.states}
+    run(Scene.from_data(data), way.folder, comm, progress=lambda step: marks.append(time.process_time()))
+    return float(comm.allreduce(float(middle(np.diff(marks[FIRST - 1 :])))) / comm.size / way.parts)
 
 
 def rupture(side: float, given: list[str], folder: Path) -> dict[str, Any]:
@@ -158,7 +171,46 @@ def rupture(side: float, given: list[str], folder: Path) -> dict[str, Any]:
     }
 
 
-def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
+def section(unknowns: float, cells: str, faults: list[int], way: Way) -> dict[str, Any]:
+    """Cost of a section in unknowns: what steps take beyond the sweep, by rocks with more and more faults.
+
+    An unknown costs what it does in the sweep through the rock alone, and beside it what it does in a whole step of the rock
+    with the fewest faults. Runs of the rocks take turns; the least time between states counts: others disturb it least.
+    """
+    from fracflow.solve.explicit import ExplicitModel
+
+    models, scenes, critical = [], [], []
+    for number in faults:
+        data, model = prepared(unknowns, cells, number)
+        explicit = ExplicitModel(model.scene, model.operators, model.loads)
+        critical.append(explicit.critical)
+        explicit.destroy()
+        models.append(model)
+        scenes.append(data)
+    turns = [
+        [
+            (sweep(model)[0], whole(data, step, way, np.min))
+            for model, data, step in zip(models, scenes, critical, strict=True)
+        ]
+        for _ in range(way.turns)
+    ]
+    alone, steps = np.min(turns, axis=0).T
+    size = np.array([int(each.operators.layout.solid_starts[-1]) for each in models])
+    sections = np.array([2 * each.operators.blocks.sizes.joints for each in models])
+    of_unknown, of_step, beyond = alone[0] / size[0], steps[0] / size[0], steps - alone
+    of_section = (beyond - beyond[0])[1:] / (sections - sections[0])[1:] + of_unknown  # of its walls it has one
+    return {
+        "cells": cells, "faults": faults, "unknowns": size.tolist(), "sections": sections.tolist(),
+        "step_ms": (1e3 * steps).round(3).tolist(), "sweep_ms": (1e3 * alone).round(3).tolist(),
+        "ns_of_section": (1e9 * of_section).round(1).tolist(),
+        "ns_of_unknown": {"sweep": round(1e9 * of_unknown, 2), "step": round(1e9 * of_step, 2)},
+        "section_in_unknowns": {
+            "sweep": (of_section / of_unknown).round(1).tolist(), "step": (of_section / of_step).round(1).tolist(),
+        },
+    }  # fmt: skip
+
+
+def measure(unknowns: float, cells: str, way: Way) -> dict[str, Any]:
     """All numbers of one rock."""
     from fracflow._petsc import MPI
     from fracflow.solve.explicit import ExplicitModel
@@ -173,7 +225,7 @@ def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) 
     del model
     small = prepared(CACHED, cells)[1]
     cached = sweep(small)[0] / small.operators.layout.solid_count
-    step, ranks = whole(data, critical, parts, states, folder), MPI.COMM_WORLD.size
+    step, ranks = whole(data, critical, way), MPI.COMM_WORLD.size
     by_memory, by_arithmetic = triad() / size, 1.0 / cached
     rate, bound = count / step / ranks, min(by_memory or np.inf, by_arithmetic)
     return {
@@ -195,6 +247,10 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=8)
     parser.add_argument("--rupture", type=float, help="side of squares along the fault of meshes/rupture [m]")
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of that scene")
+    parser.add_argument(
+        "--sections", nargs="+", type=int, default=[], help="faults of rocks that tell the cost of a section"
+    )
+    parser.add_argument("--turns", type=int, default=3, help="runs of each of those rocks")
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/bench/explicit"))
     given = parser.parse_args()
@@ -213,10 +269,15 @@ def main() -> None:
         rows.append(rupture(given.rupture, given.set, folder))
         if comm.rank == 0:
             print(json.dumps(rows[-1]), flush=True)
+    way = Way(given.parts, max(given.states, FIRST + 1), given.turns, folder / "run")
     for cells in () if given.rupture else given.cells:
         for unknowns in given.unknowns:
-            rows.append(measure(unknowns, cells, given.parts, max(given.states, FIRST + 1), folder / "run"))
-            slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
+            if given.sections:
+                rows.append(section(unknowns, cells, sorted(given.sections), way))
+                slow |= max(rows[-1]["section_in_unknowns"]["sweep"]) > MOST_OF_SECTION
+            else:
+                rows.append(measure(unknowns, cells, way))
+                slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
             if comm.rank == 0:
                 print(json.dumps(rows[-1]), flush=True)
     if comm.rank == 0:

@@ -1,4 +1,4 @@
-"""`scripts/bench explicit` on two ranks, whose rows differ in number: each step of the sweep sends, so both make as many."""
+"""`scripts/bench explicit` on two ranks, where each makes as many steps of the sweep, which send; and the cost of a section."""
 
 import json
 import subprocess
@@ -24,6 +24,21 @@ def test_small_bench_ends_on_two_ranks(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     (row,) = (json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))
     assert row["ranks"] == 2 and row["step_ms"] > 0.0 < row["sweep_ms"]
+
+
+@pytest.mark.serial
+def test_cost_of_a_section(tmp_path):
+    """Of two small rocks, whose faults are equally long; noise may hide the cost itself."""
+    sys.path.insert(0, str(ROOT / "scripts" / "benches"))
+    from explicit import Way, section
+
+    row = section(2000, "triangles", [1, 2], Way(2, 4, 1, tmp_path / "run"))
+    assert (
+        row["sections"][1] == 2 * row["sections"][0] > 0 < row["ns_of_unknown"]["sweep"] < row["ns_of_unknown"]["step"]
+    )
+    (by_sweep,), (by_step,), (nanoseconds,) = *row["section_in_unknowns"].values(), row["ns_of_section"]
+    assert abs(by_sweep * row["ns_of_unknown"]["sweep"] - nanoseconds) < 0.02 * abs(nanoseconds) + 1.0
+    assert abs(by_step * row["ns_of_unknown"]["step"] - nanoseconds) < 0.02 * abs(nanoseconds) + 10.0
 
 
 def test_local_steps_of_powers_of_two():

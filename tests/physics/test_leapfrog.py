@@ -12,7 +12,13 @@ from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
-from fracflow.solve.leapfrog import rock
+from fracflow.solve.explicit import ExplicitModel
+from fracflow.solve.leapfrog import damping, joint_nodes, rock, section_work
+from fracflow.solve.leapfrog.compiled import library
+from fracflow.solve.leapfrog.damping import PlainDamping, SymmetricDamping
+from fracflow.solve.leapfrog.joint_nodes import CompiledJointNodes, PlainJointNodes, Pushed
+from fracflow.solve.leapfrog.local import LocalMatrix
+from fracflow.solve.leapfrog.steps import Leapfrog
 
 # triangles beside squares; supports that move and that do not, loads that change and that do not, sides with springs
 SCENE = """
@@ -74,6 +80,7 @@ kind = "dynamic"
 time_step = 12e-3
 end = 0.09
 """
+ALL = (rock, joint_nodes, damping, section_work)  # the guess has its own test, as its balance is closer
 SIZES = {"acceleration": 100.0, "opening": 1e-3, "slip_rate": 1.0, "velocity": 1.0}
 
 
@@ -137,7 +144,8 @@ def assert_alike(one, other, within):
 
 
 @pytest.mark.serial
-def test_without_a_compiler(scene, tmp_path, monkeypatch):
+@pytest.mark.parametrize("lacking", [(rock,), (joint_nodes, damping, section_work), ALL], ids=["rock", "joints", "all"])
+def test_without_a_compiler(scene, tmp_path, monkeypatch, lacking):
     totals = run(load(scene), tmp_path / "sweep", MPI.COMM_SELF)
     history = read_history(tmp_path / "sweep/history.h5")
     energy = {name: np.abs(values).max() for name, values in history.items() if name.startswith("energy/")}
@@ -145,7 +153,8 @@ def test_without_a_compiler(scene, tmp_path, monkeypatch):
     assert totals.steps > 6 and energy["energy/residual"] < 1e-10 * largest
     for name in ("kinetic", "radiated", "damping", "work_incident", "work_boundaries", "friction"):
         assert energy[f"energy/{name}"] > 1e-6 * largest, name  # all of them act
-    monkeypatch.setattr(rock, "library", lambda: None)
+    for module in lacking:
+        monkeypatch.setattr(module, "library", lambda: None)
     run(load(scene), tmp_path / "petsc", MPI.COMM_SELF)
     assert_alike(tmp_path / "sweep", tmp_path / "petsc", 1e-12)
 
@@ -257,6 +266,53 @@ def test_steps_are_those_of_the_equations(scene, tmp_path, kind):
     history = read_history(tmp_path / "run/history.h5")
     largest = max(np.abs(values).max() for name, values in history.items() if name.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() < 1e-10 * largest
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(library() is None, reason="loops are not compiled here")
+def test_compiled_passes_are_those_of_numpy(scene):
+    """Each pass over the nodes of joints, and damping, of motions and tractions at random; and they are in use."""
+    model, rng = prepare(load(scene), MPI.COMM_SELF), np.random.default_rng(7)
+    leapfrog = Leapfrog(ExplicitModel(model.scene, model.operators, model.loads), model.scene, model.loads)
+    nodes, there = leapfrog.nodes, leapfrog.nodes.rock
+    fast, plain = CompiledJointNodes(nodes), PlainJointNodes(nodes)
+    assert type(leapfrog.run.passes) is CompiledJointNodes
+    for values in (there.u, there.v, there.f):
+        values[:] = rng.normal(size=values.shape)
+    p, s = len(nodes.pushed), len(model.operators.joints.weights)
+    before, after = rng.normal(size=(2, s, 2))
+    force, added, old, new = rng.normal(size=(4, p))
+
+    def passed(way):
+        moved = way.predicted(there.v, 0.3)
+        step, start = Pushed(force.copy(), added.copy(), moved), there.u.copy()
+        jump = way.jump(moved)
+        sizes, forced = way.pull(step, before, after, 0.2 / nodes.inverse.max()), np.ones(len(nodes.places_forced))
+        way.resist(after, forced)
+        way.shift(step.added)
+        way.place(forced)
+        shifted, there.u[:] = there.u.copy(), start
+        return [
+            jump,
+            sizes,
+            *step,
+            forced,
+            shifted,
+            there.e.copy(),
+            way.accelerated(),
+            np.array(way.gain(force, old, new)),
+        ]
+
+    for one, other in zip(passed(fast), passed(plain), strict=True):
+        assert np.abs(one - other).max() <= 1e-13 * np.abs(other).max() and np.abs(other).max() > 0.0
+    (symmetric,) = nodes.damping.values()
+    assert type(symmetric) is SymmetricDamping
+    (term,) = [found for term in model.operators.terms if (found := term.mean_damping()) is not None]
+    whole = PlainDamping(LocalMatrix(term.matrix, symmetric.numbers, square=True, by_nodes=True))
+    moved, last, taken = rng.normal(size=(3, len(symmetric.numbers)))
+    found = [(*way.damp(moved, 0.3, last, rest := taken.copy()), rest) for way in (symmetric, whole)]
+    for one, other in zip(*found, strict=True):
+        assert np.abs(one - other).max() <= 1e-13 * np.abs(other).max() and np.abs(other).max() > 0.0
 
 
 def test_ranks_agree(scene, shared_tmp):

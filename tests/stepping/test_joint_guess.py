@@ -90,6 +90,45 @@ def test_guess_is_what_the_laws_find():
     ).all()
 
 
+@pytest.mark.parametrize("number", [1, 2], ids=["coulomb", "weakening"])
+@pytest.mark.parametrize("coupled", [True, False])
+def test_the_answer_of_one_law_is_its_own(number, coupled):
+    """To the bit, where all sections follow it, and however they move; sections of a straight fault among them."""
+    rng = np.random.default_rng(4 + number)
+    group = joints_of(rng).laws[number]
+    count = len(group.sections)
+    law = replace(group.law, coupled_tangent=coupled)
+    empty = SimpleNamespace()
+    joints = Joints(
+        2, empty, empty, np.ones(count), np.zeros((count, 2)), (), (LawGroup(np.arange(count), law),), np.zeros(1)
+    )
+    rows, shared = np.arange(count).reshape(-1, 2), rng.uniform(0.1, 1.0, (count // 2, 1, 1)) / STIFF
+    turned = np.tile(np.eye(2), (2, 2)) * shared  # both walls of one node
+    half, whole = count // 4, turned + np.eye(4) * shared * rng.integers(0, 2, (count // 2, 1, 1))
+    batches = (Batch(rows[:half], turned[:half]), Batch(rows[half:], whole[half:]))
+    stays = Exchange(MPI.COMM_SELF, np.arange(count), np.array([count]), np.array([count]))
+    operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=MPI.COMM_SELF), blocks=None)
+    solver, plain = (JointSolver(operators, Clusters(stays, batches), 30) for _ in range(2))
+    plain.guess = None
+    sections = joints.evaluate(np.zeros((count, 2)), joints.initial_history())
+    slid = 0
+    for step in range(STEPS):
+        free = np.sin(0.1 * step + np.arange(count))[:, None] * [4e-5, 2e-5] + 1e-5 * rng.normal(size=(count, 2))
+        trial, time = solver.guess.solve(sections, free, 1.0), LawStep(0.1 * step, 0.1, True)
+        judged, wanted = (
+            joints.evaluate(trial.strain, trial.status, time),
+            plain.solve(sections, free, 1.0, time).sections,
+        )
+        assert trial.iterations > 0 and trial.answer is not None
+        for name in ("traction", "tangent", "inelastic", "strength", "utilisation", "margin", "is_sliding", "is_open"):
+            assert np.array_equal(getattr(trial.answer, name), getattr(judged, name)), name
+        assert np.allclose(trial.answer.stored, judged.stored, rtol=1e-14)
+        assert all(np.array_equal(values, judged.history[0][name]) for name, values in trial.answer.history[0].items())
+        assert np.abs(trial.strain - wanted.strain).max() < 1e-12 * np.abs(wanted.strain - sections.strain).max()
+        sections, slid = wanted, slid + int(wanted.is_sliding.sum())
+    assert slid > STEPS
+
+
 def test_laws_without_a_copy():
     """Laws that inherit from those with one are others; so are joints in space."""
     rng = np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""The compiled loops of ``rock.c`` and ``joints.c``, which setting up makes where there is a compiler.
+"""The compiled loops of ``rock.c``, ``joints.c`` and ``nodes.c``, which setting up makes where there is a compiler.
 
 C and not numba, which takes 2.0 times as long on quadrilaterals and 1.3 times on triangles. It also brings 160 MB, and
 compiles for 4 s in each new environment. The loops need no header but C's own, and are called through ctypes.
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 4  # of the functions' arguments, as in rock.c
+VERSION = 5  # of the functions' arguments, as in rock.c
 _INT, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 13, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -23,8 +23,21 @@ _FUNCTIONS = {
     "fracflow_stop": (None, (_INT, *[_ARRAY] * 12)),
     "fracflow_sums": (None, (_INT, *[_ARRAY] * 6)),
     "fracflow_take": (None, (_INT, *[_ARRAY] * 3)),
-    "fracflow_joints": (_INT, (_INT, _INT, _ARRAY, _ARRAY, _REAL, _ARRAY, _ARRAY, _INT, _INT, _ARRAY)),
+    "fracflow_joints": (
+        _INT,
+        (_INT, _INT, *[_ARRAY] * 2, _REAL, *[_ARRAY] * 2, _INT, _INT, _ARRAY, _INT, _INT, *[_ARRAY] * 2),
+    ),
     "fracflow_work": (None, (_INT, *[_ARRAY] * 16)),
+    "fracflow_predict": (None, (_INT, _ARRAY, _ARRAY, _REAL, _ARRAY)),
+    "fracflow_jumps": (None, (_INT, *[_ARRAY] * 5)),
+    "fracflow_pull": (None, (_INT, _INT, *[_ARRAY] * 8, _REAL, *[_ARRAY] * 6)),
+    "fracflow_resist": (None, (_INT, *[_ARRAY] * 6)),
+    "fracflow_put": (None, (_INT, _INT, *[_ARRAY] * 3)),
+    "fracflow_accelerate": (None, (_INT, *[_ARRAY] * 4)),
+    "fracflow_damp": (_REAL, (_INT, *[_ARRAY] * 3, _REAL, *[_ARRAY] * 4)),
+    "fracflow_gain": (_REAL, (_INT, *[_ARRAY] * 4)),
+    "fracflow_before": (None, (_INT, *[_ARRAY] * 8)),
+    "fracflow_after": (_INT, (_INT, *[_ARRAY] * 4)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 

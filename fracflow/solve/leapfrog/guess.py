@@ -1,7 +1,8 @@
 """A first guess of the motion of joints in an explicit step, by the compiled loops of ``joints.c``.
 
 Those have a copy of some laws, in the plane. The laws evaluate a guess like any other trial. Where they find no balance, or
-another status, it counts for nothing. It spares four of five evaluations, each of which passes some 250 arrays.
+another status, it counts for nothing. It spares four of five evaluations, each of which passes some 250 arrays. Where all
+sections follow one law that has a compiled copy, the loops have this answer with their last trial, which spares the fifth.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow.laws.compiled import PARAMETERS, number_of, table
+from fracflow.laws.compiled import PARAMETERS, Answers, number_of, table
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Joints
 from fracflow.model.operators import Operators
@@ -25,14 +26,21 @@ MOST_MEMBERS = 8  # sections of a cluster, as in joints.c
 class Trial(NamedTuple):
     """Motion of sections (s, 2), their histories with the statuses there, and iterations; -1 where it is no balance.
 
-    traction, left  (s, 2) of the copies of the laws there [stress], and what is left of the motion [length]
+    strain, traction  (s, 2) there [length], and of the copies of the laws [stress]
+    left              (s, 2) what is left of the motion [length]
+    moved, worst      largest size of the motion, and of what is left of it
+    answer            the sections there, where compiled laws answered with the last trial; else None
     """
 
     change: Floats
     status: SectionHistory
     iterations: int
+    strain: Floats
     traction: Floats
     left: Floats
+    moved: float
+    worst: float
+    answer: Sections | None
 
 
 class _Batch:
@@ -53,33 +61,54 @@ class JointGuess:
         self._laws = clusters.exchange.there(_rows(self.joints))
         self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 7))
         self._batches = [_Batch(each) for each in clusters.batches]
+        self._friction = self.joints.copy_of_law if clusters.exchange.stays else None
 
     def solve(self, before: Sections, free: Floats, share: float) -> Trial:
         """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""
         loops, here = library(), self._before
         assert loops is not None
-        here[:, :2], here[:, 2:4], here[:, 4:6] = free, before.strain, before.traction
-        here[:, 6:10] = before.tangent.reshape(-1, 4)
-        for group, history in zip(self.joints.laws, before.history, strict=True):
-            for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
-                if name in history:
-                    here[group.sections, column] = history[name].ravel()
+        self._take(before, free)
         there, most = self.clusters.exchange.there(here), 0
         laws, given, found = address(self._laws), address(there), address(self._found)
+        answers: Answers | None = None
+        to: tuple[int | None, ...] = (0, 0, None, None)
+        if self._friction is not None:
+            answers = self._friction.empty()
+            to = len(here), int(self._friction.is_coupled), *map(address, answers)
         for batch in self._batches:
-            done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found)
+            done = loops.fracflow_joints(*batch.given, share, laws, given, self.most, MOST_CHANGES, found, *to)
             most = max(most, done) if done >= 0 and most >= 0 else -1
-        back = self.clusters.exchange.back(self._found)
-        status = self._with_status(before.history, here[:, 11], back[:, 2])
-        return Trial(back[:, :2], status, most, back[:, 3:5], back[:, 5:])
+        return self._trial(before.history, self.clusters.exchange.back(self._found), most, answers)
 
-    def _with_status(self, history: SectionHistory, before: Floats, now: Floats) -> SectionHistory:
-        if np.array_equal(before, now):
-            return history
-        return tuple(
-            {**start, "sliding": now[group.sections, None]} if "sliding" in start else start
-            for group, start in zip(self.joints.laws, history, strict=True)
-        )
+    def _take(self, before: Sections, free: Floats) -> None:
+        loops, here = library(), self._before
+        assert loops is not None
+        known = [free, before.strain, before.traction, before.tangent]
+        if self._friction is not None:
+            known += self._friction.past(before.history[0])
+        else:
+            for group, history in zip(self.joints.laws, before.history, strict=True):
+                for column, name in ((10, "plastic_slip"), (11, "sliding"), (12, "slip_path")):
+                    if name in history:
+                        here[group.sections, column] = history[name].ravel()
+        known = [np.ascontiguousarray(each, float) for each in known]
+        given: list[int | None] = [*map(address, known), None, None, None]
+        loops.fracflow_before(len(here), *given[:7], address(here))
+
+    def _trial(self, history: SectionHistory, back: Floats, iterations: int, answers: Answers | None) -> Trial:
+        loops, largest, strain = library(), np.zeros(2), np.empty((len(back), 2))
+        assert loops is not None
+        found, status = map(address, (self._before, back, strain, largest)), history
+        if loops.fracflow_after(len(back), *found):
+            status = tuple(
+                {**start, "sliding": back[group.sections, 2:3]} if "sliding" in start else start
+                for group, start in zip(self.joints.laws, history, strict=True)
+            )
+        answer = None
+        if self._friction is not None and answers is not None and iterations >= 0:
+            answer = self.joints.answered(strain, self._friction.response(answers))
+        moved, worst = largest.tolist()
+        return Trial(back[:, :2], status, iterations, strain, back[:, 3:5], back[:, 5:], moved, worst, answer)
 
 
 def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGuess | None:

@@ -118,18 +118,19 @@ class JointSolver:
         Tractions that are those of the guess, to the bit, are in balance as it found them.
         """
         joints, trial = self.operators.joints, guess.solve(before, free, share)
-        answer = joints.evaluate(before.strain + trial.change, trial.status, step)
-        is_bad = trial.iterations < 0 or bool(joints.have_changed(trial.status, answer.history).any())
-        is_same, comm = np.array_equal(answer.traction, trial.traction), self.operators.layout.comm
-        left, beyond = trial.left, 0.0
+        answer, is_bad, is_same, comm = trial.answer, trial.iterations < 0, True, self.operators.layout.comm
+        if answer is None:
+            answer = joints.evaluate(trial.strain, trial.status, step)
+            is_bad |= bool(joints.have_changed(trial.status, answer.history).any())
+            is_same = bool((answer.traction == trial.traction).all())
+        worst, beyond = trial.worst, 0.0
         if not (is_same if comm.size == 1 else comm.allreduce(is_same, op=MPI.LAND)):
             left, _, size = self._balance(before, free, trial.change, answer)
             is_bad |= not np.isfinite(answer.traction).all()
             beyond = float((np.abs(left) - MOTION_ROUND_OFF * size).max(initial=0.0))
-        here = [float(np.abs(each).max(initial=0.0)) for each in (trial.change, left)]
-        moved, worst, most, has_bad, iterations = over_ranks(
-            [*here, beyond, float(is_bad), float(trial.iterations)], comm
-        )
+            worst = float(np.abs(left).max(initial=0.0))
+        here = [trial.moved, worst, beyond]
+        moved, worst, most, has_bad, iterations = over_ranks([*here, float(is_bad), float(trial.iterations)], comm)
         if has_bad or not most <= TIGHT * moved:
             return None
         return Solved(answer, round(iterations), worst / moved if moved > 0.0 else 0.0)

@@ -50,6 +50,19 @@ class LocalMatrix:
         self._matrix.multTranspose(self._y, self._x)
         return self._x.getArray().copy()
 
+    @cached_property
+    def is_own(self) -> bool:
+        """Whether no rank has an entry at an unknown of another. Collective."""
+        first, stop = self._matrix.getOwnershipRangeColumn()
+        columns = self._matrix.getValuesCSR()[1]
+        others = ((columns < first) | (columns >= stop)).any()
+        return bool(self._matrix.getComm().tompi4py().allreduce(int(others)) == 0)
+
+    def own_rows(self) -> tuple[Ints, Ints, Floats]:
+        """Starts (r + 1,), columns (k,) among ``numbers``, and entries (k,) of its rows, where all are this rank's."""
+        starts, columns, entries = self._matrix.getValuesCSR()
+        return starts, columns - self._matrix.getOwnershipRangeColumn()[0], entries
+
     def destroy(self) -> None:
         """Free it. Collective."""
         destroy(self._matrix, self._x, self._y)

@@ -14,6 +14,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.terms.term import MeanDamping, Term, summed
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE
+from fracflow.solve.leapfrog.damping import damping_of
 from fracflow.solve.leapfrog.local import (
     BlockDiagonal,
     ChangingLoads,
@@ -84,7 +85,7 @@ class Nodes:
         self.jump = LocalMatrix(joints.jump, touched(joints.jump), square=False)
         self.sizes = LocalMatrix(joints.sizes, self.jump.numbers, square=False)
         self.damping = {
-            name: LocalMatrix(each.matrix, _of_nodes(touched(each.matrix), plain), square=True, by_nodes=plain)
+            name: damping_of(each.matrix, _of_nodes(touched(each.matrix), plain), plain)
             for name, each in damping.items()
         }
         self.springs = {

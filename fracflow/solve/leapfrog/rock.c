@@ -3,17 +3,11 @@
    Arrays of two values a node: places x, displacements u, velocities v at the middle of steps, forces f, outer forces e. Moduli
    d of a rock: D_xx, D_xy, and D_ss of its shear, times engineering shear strain. A cell is a row of nodes and the number of its
    rock. Each function of a cell takes K u off f, and finds twice the strain energy of the cell. */
+#include "machines.h"
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__gnu_linux__)
-#define FOR_MACHINES __attribute__((target_clones("arch=x86-64-v3", "default")))
-#else
-#define FOR_MACHINES
-#endif
-#define INLINE static inline __attribute__((always_inline))
-
-const int fracflow_leapfrog_version = 4;
+const int fracflow_leapfrog_version = 5;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));

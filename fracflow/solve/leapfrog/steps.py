@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitModel
+from fracflow.solve.leapfrog.joint_nodes import Pushed, joint_nodes
 from fracflow.solve.leapfrog.joints import JointSolver, Solved
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.leapfrog.rock import Sums
@@ -96,7 +96,7 @@ class Run:
 
     def __init__(self, nodes: Nodes) -> None:
         """No state yet."""
-        self.nodes, self.rock = nodes, nodes.rock
+        self.nodes, self.rock, self.passes = nodes, nodes.rock, joint_nodes(nodes)
         self.last: State | None = None
         self.constant = np.zeros(self.rock.e.shape)
         self.loaded = np.zeros(0, dtype=np.int64)
@@ -186,72 +186,58 @@ class Run:
 
     def predict(self, time: float, controls: Mapping[str, float], around: Around) -> None:
         """Motion of all nodes in a step without what joints change in it. Collective."""
-        nodes, dt = self.nodes, self.dt
-        self.v = self.rock.v[nodes.places]
-        self.pushed = np.zeros(len(nodes.pushed))  # change of the forces of loads and joints
+        nodes, dt, count = self.nodes, self.dt, len(self.nodes.pushed)
+        moved = self.passes.predicted(self.rock.v, dt)
         load = self.beside + nodes.changing.changing(time, controls, around)
-        self.pushed[nodes.by_loads] += load - self.load
+        force, added = np.zeros(count), np.zeros(count)
+        if nodes.changing.is_any:
+            force[nodes.by_loads] += load - self.load
+            added = joint_share(dt) * nodes.accelerated(force)  # to displacements, beside dt v
+            moved[nodes.pushed] += added
         self.old_load, self.load = self.load, load
-        self.added = joint_share(dt) * nodes.accelerated(self.pushed)  # to displacements, beside dt v
-        self.moved = dt * self.v
-        self.moved[nodes.pushed] += self.added
+        self.step = Pushed(force, added, moved)
         if len(nodes.held):
             self.old_held_at, self.held_at = self.held_at, nodes.prescribed(lambda part: part.value(time, AT_ONCE))
-            self.moved[nodes.at_held] = self.held_at - self.old_held_at
+            moved[nodes.at_held] = self.held_at - self.old_held_at
 
     def free_strain(self) -> Floats:
         """Changes of the strains (s, dim) of the joints by that. Collective."""
-        nodes = self.nodes
-        return nodes.jump.times(self.moved[nodes.at_jump]).reshape(-1, nodes.operators.joints.dim)
+        return self.passes.jump(self.step.moved)
 
     def pull(self, found: Sections, pressed: Floats | None = None) -> None:
         """Take the response of the joints at the end of the step. Collective.
 
         pressed  pressures (s,) of a fluid at their sections; None without one
         """
-        nodes, before = self.nodes, self.sections
-        total = found.traction
+        before, total = self.sections, found.traction
         if pressed is not None:
             total = total.copy()
             total[:, -1] -= pressed
-        force = nodes.jump.transposed((nodes.operators.joints.weights[:, None] * (self.total - total)).ravel())
+        moved = self.passes.pull(self.step, self.total, total, joint_share(self.dt))
         self.total = total
-        by_joints = np.zeros(len(self.pushed))
-        by_joints[nodes.by_joints] = force
-        more = joint_share(self.dt) * nodes.accelerated(by_joints)
-        self.pushed += by_joints
-        self.added += more
-        self.moved[nodes.pushed] += more
-        moved = nodes.sizes.times(np.abs(self.moved[nodes.at_jump])).reshape(found.strain.shape)
-        weights = nodes.operators.joints.weights
+        weights = self.nodes.operators.joints.weights
         self.sections, self.friction, work = taken_over(weights, before, found, moved, self.friction)
         self.balance.joints += work
 
     def move(self, time: float, around: Around, is_last: bool) -> None:
         """Forces at the end of a step, and the motion of all nodes on to the middle of the next. Collective."""
         nodes, rock, dt, places = self.nodes, self.rock, self.dt, self.nodes.places
-        joints = nodes.operators.joints
-        rock.u[nodes.places_pushed] += self.added
+        moved, own = self.step.moved, nodes.places_own
+        self.passes.shift(self.step.added)
         rock.u[places[nodes.at_held]] = self.held_at
         force = self.base.copy()
         if len(nodes.at_loads):
             force[nodes.at_loads] = self.load - nodes.prestress[places[nodes.at_loads]]
-        force[nodes.at_jump] -= nodes.jump.transposed((joints.weights[:, None] * self.total).ravel())
-        old_damped = self.damped
-        self.damped = {
-            name: each.times(self.moved[nodes.at_damped[name]], 1.0 / dt) for name, each in nodes.damping.items()
-        }
-        for name, each in self.damped.items():
-            force[nodes.at_damped[name]] -= each
+        self.passes.resist(self.total, force)
+        self._damp(force)
         for name, matrix in nodes.springs.items():
             at = nodes.at_springs[name]
             force[at] -= matrix.times(rock.u[places[at]])
-        rock.e[nodes.places_forced] = force
-        own = nodes.places_own
-        u, v = rock.u[own], self.v[nodes.at_own]
+        self.passes.place(force)
+        u, v = rock.u[own], rock.v[own]
         kick, drift = (0.5 * dt, 0.0) if is_last else (dt, dt)
         rock.step(kick, drift)
-        a, old_a = nodes.inverse * rock.f[nodes.places_pushed], self.a
+        a, old_a = self.passes.accelerated(), self.a
         at_own, resisting = self._own_nodes(rock.f[own], v, time, around)
         a[nodes.pushed_own] = at_own[nodes.own_pushed]
         self.a, self.own_a = a, at_own
@@ -264,17 +250,23 @@ class Run:
             v[nodes.held_of_own] = held_speed
             rock.a[own] = at_own
         rock.v[own] = v
-        balance, at = self.balance, nodes.free
-        balance.scheme += scheme_work(dt, float(self.pushed[at] @ (old_a[at] + a[at])))
-        balance.boundaries += 0.5 * float((self.old_load + self.load) @ self.moved[nodes.at_loads])
-        for name, each in self.damped.items():
-            self._take(name, old_damped[name], each, nodes.at_damped[name])
+        balance = self.balance
+        balance.scheme += scheme_work(dt, self.passes.gain(self.step.force, old_a, a))
+        balance.boundaries += 0.5 * float((self.old_load + self.load) @ moved[nodes.at_loads])
         for name, each in resisting.items():
-            self._take(name, self.resisting[name], each, nodes.at_own)
+            self._take(name, 0.5 * float((self.resisting[name] + each) @ moved[nodes.at_own]))
         self.resisting = resisting
 
-    def _take(self, name: str, old: Floats, new: Floats, at: Any) -> None:
-        work = 0.5 * float((old + new) @ self.moved[at])
+    def _damp(self, force: Floats) -> None:
+        """Take what damps the mean velocity of the step off forces (m,), and add its work. Collective."""
+        for name, each in self.nodes.damping.items():
+            at = self.nodes.at_damped[name]
+            here = force[at]
+            self.damped[name], work = each.damp(self.step.moved[at], self.dt, self.damped[name], here)
+            force[at] = here
+            self._take(name, work)
+
+    def _take(self, name: str, work: float) -> None:
         self.balance.taken[name] = self.balance.taken.get(name, 0.0) + work
 
     def _own_nodes(self, force: Floats, v: Floats, time: float, around: Around) -> tuple[Floats, dict[str, Floats]]:
@@ -307,10 +299,10 @@ class Run:
             for each in found.values():
                 support += each[held]
             work = 0.5 * (self.support + support) - 0.5 * both[held]
-            self.balance.boundaries += float(work @ self.moved[at] + gained[held].sum())
+            self.balance.boundaries += float(work @ self.step.moved[at] + gained[held].sum())
             self.support = support
         if len(nodes.bodies):
-            left = 0.5 * self.moved[nodes.at_own] * both - gained
+            left = 0.5 * self.step.moved[nodes.at_own] * both - gained
             self.balance.scheme += float(left[nodes.free_bodies].sum())
         return a, found
 

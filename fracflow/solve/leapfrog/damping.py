@@ -1,0 +1,119 @@
+"""Damping of an explicit step by its mean velocity: a product of PETSc, or half of that where the matrix is symmetric."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.data import Floats, Ints
+from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.leapfrog.local import LocalMatrix
+
+SYMMETRIC = 1e-14  # of the largest entry: by so much those across the diagonal may differ
+
+
+class Damping(Protocol):
+    """D on its unknowns ``numbers`` (n,), local numbers of this rank."""
+
+    numbers: Ints
+
+    def damp(self, moved: Floats, dt: float, before: Floats, force: Floats) -> tuple[Floats, float]:
+        """D of the mean velocity (n,) [force per thickness], and its work. Collective.
+
+        moved, dt  motion (n,) in a step, and its length
+        force      (n,) that it is taken off
+        before     that force (n,) in the step before: work is that of the mean of both on the motion
+        """
+        ...
+
+    def destroy(self) -> None:
+        """Free it. Collective."""
+        ...
+
+
+class PlainDamping:
+    """By PETSc."""
+
+    def __init__(self, matrix: LocalMatrix) -> None:
+        """Take the matrix over."""
+        self._matrix, self.numbers = matrix, matrix.numbers
+
+    def damp(self, moved: Floats, dt: float, before: Floats, force: Floats) -> tuple[Floats, float]:
+        """D of the mean velocity (n,) [force per thickness], and its work. Collective.
+
+        moved, dt  motion (n,) in a step, and its length
+        force      (n,) that it is taken off
+        before     that force (n,) in the step before: work is that of the mean of both on the motion
+        """
+        found = self._matrix.times(moved, 1.0 / dt)
+        np.subtract(force, found, out=force)
+        return found, 0.5 * float((before + found) @ moved)
+
+    def destroy(self) -> None:
+        """Free it. Collective."""
+        self._matrix.destroy()
+
+
+class SymmetricDamping:
+    """By ``nodes.c``, which reads blocks of two nodes once for both: the product is bound by what it reads."""
+
+    def __init__(self, numbers: Ints, starts: Ints, columns: Ints, blocks: Floats) -> None:
+        """Keep blocks (k, 2, 2) on and right of the diagonal, by rows."""
+        loops = library()
+        assert loops is not None
+        self.numbers, self._loops = numbers, loops
+        self._kept: list[NDArray[np.generic]] = [np.ascontiguousarray(each, np.int32) for each in (starts, columns)]
+        self._kept.append(np.ascontiguousarray(blocks))
+        self._given = [*map(address, self._kept)]
+
+    def damp(self, moved: Floats, dt: float, before: Floats, force: Floats) -> tuple[Floats, float]:
+        """D of the mean velocity (n,) [force per thickness], and its work.
+
+        moved, dt  motion (n,) in a step, and its length
+        force      (n,) that it is taken off
+        before     that force (n,) in the step before: work is that of the mean of both on the motion
+        """
+        found = np.empty(len(moved))
+        given = map(address, (moved, before, found, force))
+        return found, 0.5 * float(self._loops.fracflow_damp(len(moved) // 2, *self._given, 1.0 / dt, *given))
+
+    def destroy(self) -> None:
+        """Nothing is PETSc's."""
+
+
+def damping_of(matrix: PETSc.Mat, numbers: Ints, plain: bool) -> Damping:
+    """D on unknowns (n,), where ``plain`` two a node; by compiled loops where they serve on all ranks. Collective."""
+    rows = LocalMatrix(matrix, numbers, square=True)
+    found = _symmetric(rows) if plain and rows.is_own else None
+    if matrix.getComm().tompi4py().allreduce(int(found is not None), op=MPI.MIN):
+        assert found is not None
+        rows.destroy()
+        return found
+    if plain:
+        rows.destroy()
+        rows = LocalMatrix(matrix, numbers, square=True, by_nodes=True)
+    return PlainDamping(rows)
+
+
+def _symmetric(matrix: LocalMatrix) -> SymmetricDamping | None:
+    """None where nothing was compiled, or the matrix is not symmetric."""
+    from scipy import sparse  # imports much
+
+    starts, columns, entries = matrix.own_rows()
+    count = len(matrix.numbers)
+    whole = sparse.csr_matrix((entries, columns, starts), shape=(count, count))
+    largest = np.abs(entries).max(initial=0.0)
+    if library() is None or abs(whole - whole.T).max() > SYMMETRIC * largest:
+        return None
+    blocks = whole.tobsr((2, 2))
+    blocks.sort_indices()
+    row = np.repeat(np.arange(count // 2), np.diff(blocks.indptr))
+    kept = blocks.indices >= row
+    starts = np.concatenate([[0], np.cumsum(np.bincount(row[kept], minlength=count // 2))])
+    columns = blocks.indices[kept]
+    if not np.array_equal(columns[starts[:-1]], np.arange(count // 2)):
+        return None
+    return SymmetricDamping(matrix.numbers, starts, columns, blocks.data[kept])
