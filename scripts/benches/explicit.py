@@ -210,7 +210,7 @@ def section(unknowns: float, cells: str, faults: list[int], way: Way) -> dict[st
     }  # fmt: skip
 
 
-def measure(unknowns: float, cells: str, way: Way) -> dict[str, Any]:
+def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
     """All numbers of one rock."""
     from fracflow._petsc import MPI
     from fracflow.solve.explicit import ExplicitModel
@@ -225,7 +225,7 @@ def measure(unknowns: float, cells: str, way: Way) -> dict[str, Any]:
     del model
     small = prepared(CACHED, cells)[1]
     cached = sweep(small)[0] / small.operators.layout.solid_count
-    step, ranks = whole(data, critical, way), MPI.COMM_WORLD.size
+    step, ranks = whole(data, critical, Way(parts, states, 1, folder)), MPI.COMM_WORLD.size
     by_memory, by_arithmetic = triad() / size, 1.0 / cached
     rate, bound = count / step / ranks, min(by_memory or np.inf, by_arithmetic)
     return {
@@ -276,7 +276,7 @@ def main() -> None:
                 rows.append(section(unknowns, cells, sorted(given.sections), way))
                 slow |= max(rows[-1]["section_in_unknowns"]["sweep"]) > MOST_OF_SECTION
             else:
-                rows.append(measure(unknowns, cells, way))
+                rows.append(measure(unknowns, cells, way.parts, way.states, way.folder))
                 slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
             if comm.rank == 0:
                 print(json.dumps(rows[-1]), flush=True)
