@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,6 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_history, read_units
 from fracflow.output.quakeml import export_quakeml
 from fracflow.output.status import read_status
-from fracflow.records import dataclass
 from fracflow.scene.quantities import REGIMES
 from fracflow.storage.files import read_text
 

@@ -18,7 +18,7 @@ LONGEST = 450
 
 # layers from the ground up; packages of one layer do not import each other, but for the second of a pair in BESIDE
 LAYERS = (
-    {"errors", "records", "remarks", "storage", "_petsc", "_version"},
+    {"errors", "remarks", "storage", "_petsc", "_version"},
     {"laws", "elements", "integrators"},
     {"scene", "mesh"},
     {"model"},
@@ -30,12 +30,11 @@ LAYERS = (
 )
 MOST_AT_ROOT, MOST_IN_PACKAGE = 9, 25  # files
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
-GROUND = {"errors", "records"}  # which laws, too, may import
 PLAIN = {"laws", "elements", "integrators"}  # NumPy only
 SHARED_LAWS = {
     "__init__", "base", "closure", "compiled", "cubic_flow", "elastic", "friction", "leak_off", "roughness", "terms",
 }  # fmt: skip
-BESIDE = {("storage", "errors"), ("storage", "records"), ("_petsc", "errors"), ("__main__", "cli")}
+BESIDE = {("storage", "errors"), ("_petsc", "errors"), ("__main__", "cli")}
 
 
 @dataclass(frozen=True)
@@ -108,11 +107,9 @@ def check_outside(modules: dict[str, Module]) -> list[str]:
     faults, meshers = [], []
     for module in modules.values():
         foreign = {name.split(".")[0] for name in imports(module, modules) if ours(name) is None}
-        used = {name.split(".")[0] for name in map(ours, imports(module, modules)) if name}
-        if module.top in PLAIN and (ground := used - GROUND - {module.top}):
-            faults.append(
-                f"{module.name}: imports {', '.join(sorted(ground))}; of ours, only {sorted(GROUND)} are allowed there"
-            )
+        ground = {name.split(".")[0] for name in map(ours, imports(module, modules)) if name} - {"errors", module.top}
+        if module.top in PLAIN and ground:
+            faults.append(f"{module.name}: imports {', '.join(sorted(ground))}; of ours, only errors is allowed there")
         if module.top in PLAIN and (more := foreign - {"numpy"} - set(sys.stdlib_module_names)):
             faults.append(f"{module.name}: imports {sorted(more)}; only NumPy is allowed there")
         if "petsc4py" in foreign and module.name != "_petsc":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from fracflow.model.loads import Loads, PrescribedValues
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.time_table import AT_ONCE
 from fracflow.scene.units import LENGTH

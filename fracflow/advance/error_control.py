@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -29,7 +29,6 @@ from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.setup import Model
 from fracflow.model.state import StageStart, State
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import MOST_GROWTH, StepRequest
 

@@ -9,7 +9,7 @@ energy balance.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.solid import nodal_force
 from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
-from fracflow.records import dataclass
 from fracflow.solve.initial_rates import with_diagonal
 from fracflow.solve.options import solver_of
 

@@ -8,7 +8,7 @@ nodes that carry its mass.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.joints import Joints
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.solve.request import StepRequest
 
 SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen

@@ -7,13 +7,13 @@ A load whose rate changes at once by r sets a mode of period T swinging by r T/(
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import process_time
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,6 @@ from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import COUNTS, State, StepReport
 from fracflow.model.steep_weakening import refuse_jumps
-from fracflow.records import dataclass
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
 from fracflow.solve.request import StepRequest, on_the_way

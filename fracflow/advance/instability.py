@@ -8,7 +8,7 @@ unstable somewhere within it. Such a step is refused and halved; the stage ends 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from fracflow.errors import NotConverged, SolveError
 from fracflow.model.properties import on_joints
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import Sections, State
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 from fracflow.solve.request import StepRequest

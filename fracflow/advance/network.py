@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
 from fracflow.model.undrained import FaintParts, change_volume, close, sum_balances
-from fracflow.records import dataclass
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import AREA, FLOW_RATE

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 from fracflow.model.state import State, StepReport
-from fracflow.records import dataclass
 from fracflow.solve.request import StepRequest
 
 Log = Callable[[str], None]

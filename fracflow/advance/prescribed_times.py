@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from fracflow.advance.substeps import SubstepCursor
 from fracflow.errors import SolveError
 from fracflow.model.setup import Model
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Stage
 from fracflow.solve.period import longest_period
 

@@ -8,7 +8,7 @@ the scene's, and rates ring: the first bound alone holds, where ``accuracy.dynam
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from fracflow.advance.outcome import Advance, Outcome
 from fracflow.integrators import Stepper
 from fracflow.model.setup import Model
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.solve.request import StepRequest
 
 MOST_HALVINGS = 44  # halvings of a step: one of a century is a fifth of a millisecond then

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from fracflow.advance.slip_rate import creeps, slip_of_states
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.setup import Model
 from fracflow.model.state import Sections, State, StepReport
-from fracflow.records import dataclass
 from fracflow.scene.materials import Rock
 
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
 from fracflow.advance.events import EventLocated, most_events
@@ -19,7 +19,6 @@ from fracflow.integrators import Stepper
 from fracflow.model.energy import refuse_made_energy
 from fracflow.model.setup import Model
 from fracflow.model.state import State, forgetful
-from fracflow.records import dataclass
 from fracflow.remarks import marked, note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport, Work
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.model.well_volumes import volumes_after, volumes_at_jump
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from fracflow.integrators import Stepper
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.state import StageStart, State
-from fracflow.records import dataclass
 
 LEAST = 1e-9  # of the length of a joint, or the volume of fractures: smaller motions need no accuracy
 

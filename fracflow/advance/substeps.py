@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes
 from fracflow.errors import NotConverged, SolveError, Unsolved
 from fracflow.model.small_strains import beyond_small_strains
 from fracflow.model.state import State, StepReport
-from fracflow.records import dataclass
 from fracflow.remarks import GIVEN_UP, marked, note
 from fracflow.scene.scene import Scene
 from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest

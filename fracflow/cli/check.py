@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
@@ -16,7 +17,6 @@ from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
-from fracflow.records import dataclass
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.event_mesh import cells_of_event, event_scene, period_of_event

@@ -6,6 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
@@ -16,7 +17,6 @@ from fracflow.mesh.facets import outer_besides, spot
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
-from fracflow.records import dataclass
 from fracflow.scene.geometry import read_traces
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import parse_toml, write_key, write_value

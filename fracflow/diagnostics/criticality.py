@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow.diagnostics.joints import initial_tractions
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.records import dataclass
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components, distances
 from fracflow.mesh.whole import block_areas, rock_areas
 from fracflow.model.properties import initial_pressure, initial_stress
-from fracflow.records import dataclass
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 

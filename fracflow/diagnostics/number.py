@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from fracflow.diagnostics.joints import CheckJoints
 from fracflow.integrators import stepper_from
 from fracflow.laws import JointLaw
 from fracflow.mesh.data import Floats
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.sizes import ROOT, SLENDER
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from fracflow.mesh.data import Bools, Floats, SplitMesh
 from fracflow.mesh.graph import components
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 

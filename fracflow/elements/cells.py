@@ -6,11 +6,12 @@ interaction is then a short series (Greengard and Rokhlin 1987).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.elements.shape import Floats, Ints
-from fracflow.records import dataclass
 
 Complexes = NDArray[np.complex128]
 

@@ -6,11 +6,12 @@ its frame: of a line s turned left, of a surface that about which its nodes run 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow.elements.shape import GAUSS2, Floats, Ints, Rule, listed, rule_at
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 
 LEVEL = 1e-9  # sine of the dip below which a surface counts as level, and its strike as x
 _CORNERS = {2: np.array([-1.0, 1.0]), 3: np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),

@@ -10,6 +10,7 @@ So the operator stays symmetric to round-off.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from math import comb
 
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from fracflow.elements.cells import CellPairs, Cells, Complexes
 from fracflow.elements.shape import Floats, Ints
-from fracflow.records import dataclass
 
 PAIRS_AT_ONCE = 1 << 11  # pairs of cells whose series fit a processor's cache
 STEP = 4  # between the orders of series

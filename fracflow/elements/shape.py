@@ -6,13 +6,13 @@ Line (1, 2), triangle (2, 3), quadrilateral (2, 4), tetrahedron (3, 4), hexahedr
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

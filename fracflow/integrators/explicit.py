@@ -9,10 +9,10 @@ however stiff the joints are.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, Stepper, checked, error_by_jerk
-from fracflow.records import dataclass
 
 # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
 STEP_ROUND_OFF = 2e-11

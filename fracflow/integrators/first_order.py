@@ -8,12 +8,12 @@ BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, HasMotion, Stepper, error_by_jerk, newmark_alphas, weighed
 from fracflow.integrators.parameters import parameter
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.integrators.parameters import check_parameters, parameter
-from fracflow.records import dataclass
 
 Balance = Literal["both", "end", "step"]
 

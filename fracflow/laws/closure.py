@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow.laws.base import Bools, Floats, Parameter, per_section
-from fracflow.records import dataclass
 
 STEP_FRACTION = 0.9  # of the gap that is left
 NOISE = 1e-10  # of the aperture: no opening or closing

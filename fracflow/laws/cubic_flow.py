@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, LawStep, Parameter
 from fracflow.laws.roughness import Roughness
-from fracflow.records import dataclass
 
 
 def _walls(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from fracflow.laws.base import (
     Parameter,
     per_section,
 )
-from fracflow.records import dataclass
 
 DILATION = HistoryVariable(
     "scalar", "length", "opening that slip has brought", published=False

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
 from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,11 @@ The kernel is a sum of exponentials, each with its own memory, so that a step ne
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow.laws.base import Floats
-from fracflow.records import dataclass
 
 SPACING = 1.0  # of the logarithms of the rates: the sum is then within 2.8 exp(-pi^2/SPACING) = 1.5e-4 of the kernel
 RANGE = 1000  # of their numbers, as of all floating-point numbers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +18,6 @@ from fracflow.laws.base import (
     per_section,
     per_tangent,
 )
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True, eq=False)

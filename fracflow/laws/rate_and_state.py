@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from fracflow.laws.base import (
 )
 from fracflow.laws.closure import NormalClosure
 from fracflow.laws.friction import PLASTIC_SLIP
-from fracflow.records import dataclass
 
 AGEING, SLIP = "ageing", "slip"
 MOST = 200  # iterations of a section

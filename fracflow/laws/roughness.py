@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow.laws.base import Floats
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
 from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, SLIP_PATH, FrictionLaw, Trial
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True, eq=False)

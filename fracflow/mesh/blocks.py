@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.slabs import Order
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ Petrov, Pousin and Renard 2014). A shift of a block's centre of mass is correcte
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.facets import half_facets
-from fracflow.records import dataclass
 
 # Faces that turn by more than 30 degrees at a node have no common normal: it keeps its mass. Without that rule corners kept
 # opening and closing in Newton's iterations, and found no status that stays.

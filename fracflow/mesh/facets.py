@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.graph import components
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.records import dataclass
 
 # (dim, corners of a cell) -> corners of its facets. In their order the normal of a facet (s turned left; of a surface, by the
 # right hand) points into the cell. A mesh in space has one kind of cell, so that all its facets have as many nodes.

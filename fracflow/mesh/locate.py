@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
@@ -11,7 +12,6 @@ from fracflow.elements.shape import shape_at
 from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components
-from fracflow.records import dataclass
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | Floats | str | tuple[str, str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,6 @@ from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBloc
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.locate import representatives
 from fracflow.mesh.share import Share
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

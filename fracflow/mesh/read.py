@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +25,6 @@ from fracflow.mesh.plane.quality import BLUNT, cell_areas, worst_cells
 from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
 from fracflow.mesh.plane.unmeshed import cut, with_walls
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.storage.files import check_regular, read_bytes
 

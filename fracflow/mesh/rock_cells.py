@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.blocks import SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

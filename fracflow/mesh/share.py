@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Ints
-from fracflow.records import dataclass
 from fracflow.storage.sealed import Slabs, slabs_of
 
 Values = NDArray[Any]

@@ -6,7 +6,7 @@ P leaves translations as they are, so the total mass of every block stays.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.solid import by_shape, rock_values, summed_at_nodes
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 
 SOME = 1e-9  # of a mass: what counts as lost

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -13,7 +14,6 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from fracflow.model.balance import static_balance_of
 from fracflow.model.layout import product
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

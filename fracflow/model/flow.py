@@ -5,7 +5,7 @@ Everything is per unit thickness, with the pressure as unknown. Ends: each joint
 
 from __future__ import annotations
 
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,6 @@ from fracflow.model.joints import Walls, jump_matrix
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, create_vector, product
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, Term, TermStep
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import STRESS
 

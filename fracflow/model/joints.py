@@ -6,6 +6,7 @@ residual  G' W f(G u)      tangent  G' W D G
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +24,6 @@ from fracflow.model.layout import add_blocks, add_transposed, create_matrix, mat
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import impedance_beside, nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import STRESS
 from fracflow.scene.unusual import slight

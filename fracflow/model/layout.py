@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,6 @@ from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_f
 from fracflow.model.terms.term import held_without_inertia
 from fracflow.model.unbounded import held_walls, stress_force
 from fracflow.model.undrained import Closure, FaintParts, SummedBalances
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene

@@ -6,6 +6,7 @@ joints while these are made, and the moments of all cells while they are applied
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import matrix_of
 from fracflow.model.unbounded import of_energy
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.method import MULTIPOLES_FROM
 from fracflow.scene.scene import Scene

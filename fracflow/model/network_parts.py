@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
@@ -12,7 +14,6 @@ from fracflow.mesh.shared import Shared, lowest_joined
 from fracflow.model.flow import Compression
 from fracflow.model.layout import local_rows
 from fracflow.model.operators import Operators
-from fracflow.records import dataclass
 
 CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,6 @@ from fracflow.model.properties import along_fractures, initial_stress
 from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness, summed_at_nodes
 from fracflow.model.steep_weakening import refuse_steep_start
 from fracflow.model.terms.term import Term
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, TypeVar
 
@@ -38,7 +38,6 @@ from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.data import Floats
-from fracflow.records import dataclass
 
 SectionHistory = tuple[Mapping[str, Floats], ...]
 """Histories of the joint sections, one mapping a law."""

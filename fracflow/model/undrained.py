@@ -6,6 +6,7 @@ node to node is not in the sum.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,6 @@ from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import FewEntries, Layout, add_blocks, create_matrix, local_rows, product
 from fracflow.model.network_parts import NetworkComponent, NetworkComponents
 from fracflow.model.operators import Operators
-from fracflow.records import dataclass
 
 FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
 

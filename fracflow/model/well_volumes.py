@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import FRACTURES, FluidVolumes, State
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

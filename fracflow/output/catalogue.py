@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.state import State
 from fracflow.output.sampling import Snapshot
-from fracflow.records import dataclass
 from fracflow.scene.quantities import magnitude, one_less, with_components
 from fracflow.scene.scene import Scene
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from fracflow.output.events import read_events
 from fracflow.output.export import unit_of, units_of_run
 from fracflow.output.folder import to_json, write_atomic
 from fracflow.output.history import read_history
-from fracflow.records import dataclass
 from fracflow.scene.quantities import row_of
 
 Floats = NDArray[np.float64]

@@ -9,6 +9,7 @@ import csv
 import io
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 from time import process_time as time_of_process
@@ -19,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import write_atomic
-from fracflow.records import dataclass
 from fracflow.scene.quantities import component_names, magnitude, one_less, with_components
 from fracflow.storage.files import read_text, steers
 

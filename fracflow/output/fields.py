@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import step_of, to_json, write_atomic
-from fracflow.records import dataclass
 from fracflow.storage.reader import Layout
 from fracflow.storage.sealed import SealedFile, Slabs, read_sealed, slabs_of, whole, write_slabs
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fracflow.errors import InputError
 from fracflow.output.events import read_events
 from fracflow.output.reader import FractureFields, load_fractures, without_round_off
-from fracflow.records import dataclass
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME
 
 Floats = NDArray[np.float64]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,6 @@ from fracflow.model.state import State
 from fracflow.output.history import AT_LIMIT, SHUT
 from fracflow.output.sampling import Columns, Snapshot
 from fracflow.output.unmeshed import AtPoint, with_far
-from fracflow.records import dataclass
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 

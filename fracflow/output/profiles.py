@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.history import HistoryFile, read_history
-from fracflow.records import dataclass
 
 FILE = "profiles.h5"
 KEPT = ("pressure", "aperture", "plastic_slip")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,6 @@ from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
 from fracflow.output.folder import check_own, write_atomic
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.site import Site, instant
 from fracflow.storage.files import read_bytes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ from fracflow.output.history import read_attributes, read_history, read_table, r
 from fracflow.output.plot_style import plain
 from fracflow.output.remarks import last_limit
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
-from fracflow.records import dataclass
 from fracflow.scene.quantities import REGIMES, dimension_of
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME, VELOCITY
 from fracflow.storage.files import read_text, steers

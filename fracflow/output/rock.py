@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -21,7 +22,6 @@ from fracflow.output.fields import stored
 from fracflow.output.probes import Cells
 from fracflow.output.sampling import StateSampler
 from fracflow.output.unmeshed import UnmeshedRock, far_stress
-from fracflow.records import dataclass
 from fracflow.scene.quantities import quantities
 from fracflow.scene.scene import Scene
 from fracflow.storage.sealed import Slabs, whole

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,6 @@ from fracflow.model.state import Sections, State
 from fracflow.model.terms.term import TermStep
 from fracflow.output.profiles import KEPT
 from fracflow.output.unmeshed import far_stress
-from fracflow.records import dataclass
 from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 

@@ -8,6 +8,7 @@ MPa).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import inf
 from typing import Any
 
@@ -15,7 +16,6 @@ import numpy as np
 
 from fracflow.mesh.data import SplitMesh
 from fracflow.output.drawing.axes import shown
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.units import TIME
 

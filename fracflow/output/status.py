@@ -5,11 +5,11 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output.folder import MARKER, RunFolder
-from fracflow.records import dataclass
 from fracflow.storage.files import open_own, read_text
 
 RUNNING, ENDED, STOPPED, FAILED, CUT_OFF = "running", "ended", "stopped", "failed", "cut off"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,6 @@ from fracflow.elements import dislocation, facet
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model.stress import initial_components
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 
 BESIDE = 1e-6  # of a joint: how far from a fracture its walls are looked at

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 from fracflow.diagnostics.number import Number
 from fracflow.model.setup import FarSides
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.solve.rock_cost import RockChoice
 

@@ -20,13 +20,12 @@ a^2) - 1 of what it loses at a distance x from its middle, along its own line, w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 import numpy as np
 
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.records import dataclass
 from fracflow.reduction.decision import Decision, LockedFractures, ReductionInput
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.whole import rock_areas
-from fracflow.records import dataclass
 from fracflow.reduction.cell_growth import growth_beside, has_tip, of_stated, weakens
 from fracflow.remarks import note
 from fracflow.scene.advice import GENTLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from fracflow.mesh.plane.quality import BLUNT
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.whole import share_of_blunt
 from fracflow.model.setup import on_root
-from fracflow.records import dataclass
 from fracflow.reduction.mesh_size import SAME, WorstCell, needs, typical_length, worst_of
 from fracflow.scene.advice import GENTLE, is_for_explicit
 from fracflow.scene.scene import Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,7 +22,6 @@ from fracflow.output.folder import MARKER, check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.reader import LARGEST
 from fracflow.output.status import Status, read_status
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.units import TIME
 from fracflow.storage.files import read_text, shown_plain

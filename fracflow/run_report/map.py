@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,7 +19,6 @@ from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.profiles import KEPT, read_profiles
 from fracflow.output.reader import LARGEST, without_round_off
 from fracflow.output.remarks import last_limit
-from fracflow.records import dataclass
 from fracflow.run_report.data import RunReport, rounded
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.storage.files import steers

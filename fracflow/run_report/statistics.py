@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from fracflow.records import dataclass
 
 BIN = 0.1  # of magnitudes
 FEWEST = 10  # events of a fit

@@ -7,13 +7,13 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 from fracflow.scene.materials import Fracture
 from fracflow.scene.messages import nearest, one_line
 from fracflow.scene.method import ALTERNATIVES, with_default_fracture

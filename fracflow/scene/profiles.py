@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationInfo
 
-from fracflow.records import dataclass
 from fracflow.scene.units import LENGTH, TIME, Annotation, Quantity, fault, list_schema, number_schema, table_schema
 
 Floats = NDArray[np.float64]

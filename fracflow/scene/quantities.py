@@ -20,6 +20,7 @@ run      at.step, an ``advance.step.Step``; at.snapshot, of all joint ends; at.k
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from operator import attrgetter as of
 from typing import Any, Literal
 
@@ -28,7 +29,6 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from fracflow.laws import JOINT_LAWS, published_history
-from fracflow.records import dataclass
 from fracflow.scene.units import (
     ACCELERATION,
     ENERGY,

@@ -6,13 +6,12 @@ import math
 import operator
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
-
-from fracflow.records import dataclass
 
 if TYPE_CHECKING:
     import pint

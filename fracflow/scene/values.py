@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 from pydantic import ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from fracflow.records import dataclass
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import (
     LENGTH,

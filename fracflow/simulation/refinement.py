@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from fracflow.model.setup import on_root, place
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_plot import draw
 from fracflow.output.folder import MARKER, check_folder, holds
-from fracflow.records import dataclass
 from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period
 from fracflow.reduction.locked_fractures import LEAST, why_none

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fracflow._petsc import MPI, timed
@@ -24,7 +24,6 @@ from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, res
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
-from fracflow.records import dataclass
 from fracflow.reduction.apply import planned
 from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fracflow.errors import SolveError
 from fracflow.model.state import COUNTS, StepReport, Work
-from fracflow.records import dataclass
 from fracflow.remarks import marked, note
 
 EARLIER = {"told_factor": "reported_factor"}  # names in checkpoints of earlier versions

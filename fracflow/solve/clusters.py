@@ -6,6 +6,7 @@ These blocks are small and solved all at once, each on one rank.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +18,6 @@ from fracflow.mesh.graph import components
 from fracflow.mesh.shared import lowest_joined
 from fracflow.model.joints import Joints
 from fracflow.model.layout import local_rows
-from fracflow.records import dataclass
 
 COUPLES = 1e-13  # of the largest entry: less is round-off of two equal numbers
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from fracflow.integrators import EXPLICIT, Alphas, stepper_from
-from fracflow.records import dataclass
 from fracflow.scene.boundary import Stage
 from fracflow.scene.checks import against_condensing
 from fracflow.scene.scene import Scene

@@ -7,6 +7,7 @@ that carries resists the jump between the motions of its two blocks. The remaini
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.properties import on_joints
 from fracflow.model.state import Sections
-from fracflow.records import dataclass
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -8,6 +8,7 @@ few digits are reported but not refused, since the flow may have hardly begun.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from fracflow.model.loads import Loads
 from fracflow.model.network_parts import NetworkComponents, conducting
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
-from fracflow.records import dataclass
 from fracflow.scene.values import TimeTable
 from fracflow.solve.residual import MOST_DIGITS, refuse_few, round_off_of_pressure, significant_digits
 from fracflow.solve.sections import SectionProblem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from fracflow.model.joints import entry_sizes
 from fracflow.model.layout import FewEntries, create_matrix, product
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.solve.jacobian import JoinedMatrix

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,6 @@ from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.undrained import Closure, closure_row
-from fracflow.records import dataclass
 from fracflow.solve.fractured_rock.rigid_motions import near_null_space, node_size
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.integrators import Alphas
@@ -12,7 +12,6 @@ from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.model.terms.term import Term
-from fracflow.records import dataclass
 from fracflow.scene.time_table import JUST_AFTER, Around
 from fracflow.solve.residual import CANCELLATION, largest
 

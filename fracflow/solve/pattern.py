@@ -6,6 +6,7 @@ Arrays made of all entries at once take several times the memory of the matrix.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +17,6 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Ints
 from fracflow.model.layout import rows_of
-from fracflow.records import dataclass
 
 ROWS_AT_ONCE = 50_000  # rows
 

@@ -9,13 +9,12 @@ as the rule takes the derivative of what is stored.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas, Stepper
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import PreviousStep, State
-from fracflow.records import dataclass
 from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 
 AT_A_JUMP = 1e-9  # of a step: times so near are one

@@ -7,6 +7,7 @@ jumps are summed up from the motion of each step, so u is the motion of a wall i
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Compression, Conduction, Flow
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections, State
-from fracflow.records import dataclass
 
 UNIT_ROUND_OFF = 0.5 * float(np.finfo(float).eps)
 NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node

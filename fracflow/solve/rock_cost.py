@@ -11,11 +11,11 @@ import math
 import os
 import resource
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 from fracflow.scene.method import MULTIPOLES_FROM, Method
 from fracflow.scene.scene import Scene
 from fracflow.storage.files import read_text

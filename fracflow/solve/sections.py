@@ -9,7 +9,7 @@ condensed steps have another right side.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,7 +26,6 @@ from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections, State
 from fracflow.model.terms.term import TermStep
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.failure import fractures_of

@@ -7,6 +7,7 @@ C B reaches 1 (Uenishi and Rice 2003, where B is uniform and C that of an infini
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections
-from fracflow.records import dataclass
 from fracflow.solve.options import solver_of
 from fracflow.solve.period import sprung
 

@@ -6,12 +6,12 @@ Each is exact where joints behave linearly; they differ in the moduli of the joi
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Scales
-from fracflow.records import dataclass
 from fracflow.solve.problem import StepProblem
 
 SOFT = 1e-6  # of the natural stiffness: it holds a loose block on its way to the next contact

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 from fracflow.storage import worker as h5_worker
 from fracflow.storage.files import check_regular
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.records import dataclass
 from fracflow.storage.hdf5 import add_dataset, whole_file
 from fracflow.storage.reader import Arrays, Found, Layout, read_h5
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import inspect
 import re
 from collections.abc import Iterator
@@ -125,8 +124,6 @@ def signature(each: Any, name: str, is_property: bool = False) -> str:
     """
     if inspect.isclass(each) and (getattr(each, "_is_protocol", False) or issubclass(each, BaseException)):
         return ""
-    if dataclasses.is_dataclass(each):
-        dataclasses.fields(each)  # whose methods are not written before
     found = inspect.signature(each)
     result = written(found.return_annotation)
     if is_property:

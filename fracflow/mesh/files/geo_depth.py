@@ -6,11 +6,10 @@ Gmsh keeps them in tables of fixed size.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fracflow.errors import MOST_NAMED, InputError
-from fracflow.records import dataclass
 from fracflow.remarks import note
 
 DEEPEST = 40  # Gmsh has room for 100

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 from fracflow.mesh.files.geo_words import BLOCKS
-from fracflow.records import dataclass
 
 LONGEST_NAME = 60  # Gmsh prints names into buffers of fixed size
 LONGEST_TEXT = 200

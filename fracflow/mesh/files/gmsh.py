@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.formats import FORMATS, sizes_beside
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
-from fracflow.records import dataclass
 from fracflow.storage.reader import OF_RANKS
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]

@@ -9,13 +9,12 @@ else, at each cut.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow.mesh.data import Ints
 from fracflow.mesh.share import Edges, Share
-from fracflow.records import dataclass
 
 Pair = tuple[int, int]
 

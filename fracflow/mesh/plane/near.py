@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.places import extent_of, place_without_round_off
 from fracflow.mesh.plane.planar_graph import near_edges
 from fracflow.mesh.plane.traces import TraceNetwork
-from fracflow.records import dataclass
 
 WITHIN = 5.0  # snaps
 AROUND = 12.0  # distances along the network: what meets by a shorter way has met, at over 10 degrees

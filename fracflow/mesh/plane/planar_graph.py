@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
-from fracflow.records import dataclass
 
 CORNER, ON_SIDE, FREE = 0, 1, 2  # how freely a point moves: not at all, along its side, anywhere
 CHUNK = 2_000_000  # pairs looked at together

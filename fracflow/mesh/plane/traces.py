@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.planar_graph import PlanarGraph, cross, near_edges, planar_graph_of, settle
-from fracflow.records import dataclass
 from fracflow.remarks import note
 
 ROUNDS = 30  # of merging, moving and cutting

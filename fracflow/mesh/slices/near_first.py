@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from fracflow.mesh.locate import all_covering
 from fracflow.mesh.slices.directory import Directory, Route
 from fracflow.mesh.slices.reading import NONE, Raw, moved
 from fracflow.mesh.store import NOT_FIRST
-from fracflow.records import dataclass
 from fracflow.storage.sealed import AGAIN
 
 

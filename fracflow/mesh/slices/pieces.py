@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Bools, Ints
 from fracflow.mesh.facets import joined_by_cells
 from fracflow.mesh.slices.directory import Directory
-from fracflow.records import dataclass
 
 
 @dataclass(frozen=True)

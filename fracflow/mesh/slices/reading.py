@@ -6,7 +6,7 @@ Joints, sides and names are on rank 0 alone, with the nodes that they are on: th
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,7 +19,6 @@ from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.slices.directory import Directory, Values
 from fracflow.mesh.store import SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
-from fracflow.records import dataclass
 from fracflow.storage.sealed import AGAIN, slabs_of
 
 Result = TypeVar("Result")

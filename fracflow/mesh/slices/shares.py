@@ -7,6 +7,7 @@ and sides come from rank 0.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from fracflow.mesh.slices.bisection import bisected
 from fracflow.mesh.slices.directory import Directory, Route
 from fracflow.mesh.slices.near_first import Slices
 from fracflow.mesh.slices.pieces import joined, owners
-from fracflow.records import dataclass
 
 
 def distribute_slices(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import assembled_at_nodes, nodal_force, rock_values
 from fracflow.model.terms.term import Term
-from fracflow.records import dataclass
 from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import Absorbing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats, Ints
-from fracflow.records import dataclass
 from fracflow.scene.time_table import Around
 
 

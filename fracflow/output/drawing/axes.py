@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import ceil, floor, log10
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fracflow.records import dataclass
 from fracflow.scene.units import (
     ACCELERATION,
     DENSITY,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fracflow.output.drawing.axes import Axis, axis_of, unit_for
 from fracflow.output.drawing.labels import Label, beside_point, beside_trace, placed
 from fracflow.output.plot_style import INK, PALE, plain
-from fracflow.records import dataclass
 from fracflow.scene.units import LENGTH
 
 if TYPE_CHECKING:

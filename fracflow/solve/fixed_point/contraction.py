@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,7 +22,6 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.operators import Operators
 from fracflow.model.undrained import SummedBalances, add_diagonal
-from fracflow.records import dataclass
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import UNSOLVED, check_solution, set_up, true_residual
 from fracflow.solve.options import solver_of

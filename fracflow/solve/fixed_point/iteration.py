@@ -11,7 +11,7 @@ where it would also stick. So the last cycles begin with the statuses of the las
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from fracflow.mesh.data import Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import step_report
 from fracflow.solve.condensed_cost import Condensing

@@ -7,12 +7,10 @@ what it would add always converges; Aitken and Anderson find better shares from 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-
-from fracflow.records import dataclass
 
 Floats = NDArray[np.float64]
 Together = Callable[[Floats], Floats]

@@ -9,6 +9,7 @@ much, by the ratio of that wavelength to their size. Iterations then grow with t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -19,7 +20,6 @@ from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.graph import components
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, create_matrix
-from fracflow.records import dataclass
 
 AT_CROSSINGS = 4  # joints at a flow node, each of which may part a hat in another way
 

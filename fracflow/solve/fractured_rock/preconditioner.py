@@ -12,6 +12,7 @@ size, however small or large those of the flow are.
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +23,6 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.shared import Shared
 from fracflow.model.layout import Layout, rows_of
-from fracflow.records import dataclass
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps, grid_sizes
 from fracflow.solve.fractured_rock.small_system import SmallSystem
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,6 @@ from fracflow.mesh.graph import components
 from fracflow.model.layout import Layout
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.records import dataclass
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
 

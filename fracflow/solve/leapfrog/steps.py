@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +17,6 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.energy import added, joint_parts
 from fracflow.model.loads import Loads
 from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
-from fracflow.records import dataclass
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitModel
