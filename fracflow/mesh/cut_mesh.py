@@ -27,7 +27,7 @@ def near_mesh(mesh: SplitMesh) -> SplitMesh:
 
 def whole_mesh(mesh: SplitMesh) -> SplitMesh:
     """All cells, of a mesh that may have the near ones alone, with the ``coarse`` one."""
-    assert mesh.rest is None  # ranks have the others: they are gathered first
+    assert mesh.sums is None  # ranks have the others: they are gathered first
     return mesh if len(mesh.cells) == mesh.children * len(mesh.uncut.cells) else cut_mesh(mesh.uncut)
 
 

@@ -43,7 +43,7 @@ class RawMesh:
 
 
 @dataclass(frozen=True)
-class Rest:
+class CellSums:
     """Sums over all cells of a mesh of which rank 0 has the near ones alone.
 
     cells       how many there are
@@ -85,7 +85,7 @@ class SplitMesh:
     cuts           how often each cell is cut in four once it is on its rank
     near           how many cells come first, with all that is on them; -1 where all do. See ``mesh.near_cells``
     coarse         the mesh, with ``cuts``, that this one was made from; None where none was
-    rest           of a mesh that has the near cells alone and no ``coarse``; see ``mesh.slices``
+    sums           of a mesh that has the near cells alone and no ``coarse``; see ``mesh.slices``
     """
 
     points: Floats
@@ -110,7 +110,7 @@ class SplitMesh:
     cuts: int = 0
     near: int = -1
     coarse: SplitMesh | None = None
-    rest: Rest | None = None
+    sums: CellSums | None = None
 
     @property
     def uncut(self) -> SplitMesh:

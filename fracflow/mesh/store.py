@@ -27,7 +27,7 @@ NOT_FIRST = "near is no number of cells that come first"
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _LATER = {"cuts": 0, "near": -1}
 _REALS = ("points", "joint_along")
-_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name not in ("coarse", "rest"))
+_PARTS = tuple(field.name for field in fields(SplitMesh) if field.name not in ("coarse", "sums"))
 SLICED = ("points", "origin", "cells", "cell_rock")
 """Parts as long as the mesh has cells or nodes. All others are of joints and sides, or names."""
 

@@ -11,16 +11,16 @@ from fracflow.mesh.plane.quality import cell_areas, worst_cells
 
 def rock_areas(mesh: SplitMesh) -> Floats:
     """Area (r,) of the cells of each rock [length**2]."""
-    if mesh.rest is not None:
-        return mesh.rest.rock_area
+    if mesh.sums is not None:
+        return mesh.sums.rock_area
     uncut = mesh.uncut  # cuts do not change areas
     return _sums(uncut.cell_rock, _areas(uncut), len(mesh.rocks))
 
 
 def block_areas(mesh: SplitMesh) -> tuple[Ints, Floats]:
     """Block of rock (m,) of each cell of a mesh, what no joint cuts, and area (b,) of each block [length**2]."""
-    if mesh.rest is not None:
-        return mesh.rest.piece[mesh.cells[:, 0]], mesh.rest.piece_area
+    if mesh.sums is not None:
+        return mesh.sums.piece[mesh.cells[:, 0]], mesh.sums.piece_area
     uncut, parent = mesh.uncut, np.arange(len(mesh.cells)) // mesh.children
     first = uncut.cells[:, 0]
     cell, corner = np.nonzero(uncut.cells[:, 1:] >= 0)
@@ -30,8 +30,8 @@ def block_areas(mesh: SplitMesh) -> tuple[Ints, Floats]:
 
 def share_of_blunt(mesh: SplitMesh) -> float:
     """Share of the cells of ``uncut`` that have a corner over 150 degrees."""
-    if mesh.rest is not None:
-        return mesh.rest.blunt
+    if mesh.sums is not None:
+        return mesh.sums.blunt
     return worst_cells(mesh.uncut.points, mesh.uncut.cells)["cells over 150 degrees"]
 
 

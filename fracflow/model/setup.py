@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.errors import DiskError, InputError
+from fracflow.errors import InputError
+from fracflow.mesh.agreement import on_first as on_first
+from fracflow.mesh.agreement import on_root as on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.cut_mesh import cut_mesh, near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
@@ -124,33 +126,6 @@ class Model:
         mesh = self.unmeshed or (self.whole or self).mesh
         assert mesh is not None
         return mesh
-
-
-def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on rank 0; its InputError is raised on every rank, an OSError as a DiskError. Collective."""
-    return on_first(comm, 1, work)
-
-
-def on_first(comm: MPI.Comm, ranks: int, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on the first ranks, so many; the first of their errors is raised on every rank as above. Collective."""
-    result: Result | None = None
-    failure: InputError | DiskError | None = None
-    if comm.rank < ranks:
-        try:
-            result = work()
-        except InputError as error:
-            failure = InputError(str(error))
-        except DiskError as error:
-            failure = DiskError(str(error))
-        except OSError as error:
-            failure = DiskError.of(error, "the run folder")
-    if ranks == 1:
-        failure = comm.bcast(failure, root=0)
-    else:
-        failure = next((each for each in comm.allgather(failure) if each is not None), None)
-    if failure is not None:
-        raise failure
-    return result
 
 
 @contextmanager

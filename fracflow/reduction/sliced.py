@@ -10,7 +10,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.read import SPLIT
 from fracflow.mesh.slabs import Distributed
-from fracflow.mesh.slices.gathering import sliced_parts, with_rest
+from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, Placed, made_ready, on_root, place, places_of
@@ -59,7 +59,7 @@ def in_slices(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> tuple[SplitMes
     placed: Placed = comm.bcast(on_root(comm, lambda: None if mesh is None else place(scene, mesh)), root=0)
     rigid = [name for name, rock in scene.rock.items() if rock.rigid]
     blocks = distribute_slices(mesh, slices, rigid, placed.ties)
-    return with_rest(mesh, blocks), placed, blocks
+    return with_sums_of_cells(mesh, blocks), placed, blocks
 
 
 def kept_parts(model: Model) -> dict[str, Distributed]:
@@ -69,8 +69,8 @@ def kept_parts(model: Model) -> dict[str, Distributed]:
     """
     blocks = (model.whole or model).operators.blocks
     mesh = None if model.mesh is None else model.stated_mesh
-    has_rest = blocks.comm.bcast(mesh is not None and mesh.rest is not None, root=0)
-    return sliced_parts(blocks) if has_rest else {}
+    has_sums = blocks.comm.bcast(mesh is not None and mesh.sums is not None, root=0)
+    return sliced_parts(blocks) if has_sums else {}
 
 
 def _saved(scene: Scene, kept: Kept | None) -> SavedMesh | None:

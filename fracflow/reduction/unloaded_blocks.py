@@ -75,8 +75,8 @@ def parts(mesh: SplitMesh, tied: Ints) -> tuple[Ints, Ints]:
     """
     if is_unmeshed(mesh.cells):
         return np.zeros(1, dtype=np.int64), np.zeros(len(mesh.points), dtype=np.int64)
-    if mesh.rest is not None:
-        piece, count = mesh.rest.piece, len(mesh.rest.piece_rock)
+    if mesh.sums is not None:
+        piece, count = mesh.sums.piece, len(mesh.sums.piece_rock)
     else:
         piece, rock, _ = pieces_of_rock(mesh)
         count = len(rock)

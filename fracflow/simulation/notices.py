@@ -269,8 +269,8 @@ def overlap_line(model: Model, state: State) -> str:
     at, unit = place_text((x, y), extent_of(blocks.solid.points)), scene.unit_system.behind(LENGTH)
     return (
         f"time {scene.time_text(state.time)}: walls of {name} at {at}{unit} close by {-least:.3g}{unit} more than their"
-        " aperture: springs let them, but walls do not pass through each other: later openings and flows are wrong there;"
-        " take a law that closes along a hyperbola, or give a wider aperture, or a larger normal_stiffness"
+        " aperture, as springs let them: later openings and flows are wrong there. Take a law that closes along a hyperbola, a"
+        " wider aperture, or a larger normal_stiffness"
     )
 
 

@@ -33,6 +33,7 @@ from fracflow.solve.globalisation import (
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import factors_of, renew, set_up, solve_nonlinear, solves_both
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.residual import over_ranks
 from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 
 MOST_CHANGES = 50  # rounds of status changes in one step
@@ -264,7 +265,7 @@ class Newton:
             raise
         strains, fraction = self._strains(step)
         is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
-        if is_coupled and not self._is_held and (fraction < 1.0 or self._changes(problem, strains, -STEP_FRACTION)):
+        if is_coupled and not self._is_held and (fraction < 1.0 or self._growth(problem, strains)[0] < -STEP_FRACTION):
             newton = step.copy(), strains, fraction
             try:
                 self._hold_conductances(problem, step)
@@ -275,7 +276,7 @@ class Newton:
                     self._is_held = False
             finally:
                 newton[0].destroy()
-        self._is_held = self._is_held and self._changes(problem, strains, 1.0)
+        self._is_held = self._is_held and self._growth(problem, strains)[1] > 1.0
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -315,15 +316,17 @@ class Newton:
         self._krylov += self.factors.check(self.balance, step)
         check_step(self.solver, step, self.balance, problem, self.prefix)
 
-    def _changes(self, problem: StepProblem, strains: Floats, share: float) -> bool:
-        """Whether strains (s, dim) widen a joint in contact by that share of its aperture; below 0, close it. Collective."""
+    def _growth(self, problem: StepProblem, strains: Floats) -> tuple[float, float]:
+        """Least and largest change that strains (s, dim) make to apertures of joints in contact, over these. Collective."""
         joints, sections = self.matrix.operators.joints, problem.sections
         now, change = joints.openings(sections.strain), joints.openings(strains * ~sections.is_open[:, None])
-        here = False
+        grown = np.zeros(0)
         if now is not None and change is not None:
             wide = self.matrix.operators.network.aperture + now
-            here = bool(np.any(change > share * wide if share > 0.0 else (change < share * wide) & (wide > 0.0)))
-        return bool(self.matrix.layout.comm.allreduce(here, op=MPI.LOR))
+            parted = wide > 0.0  # walls of springs may overlap
+            grown = change[parted] / wide[parted]
+        shrinks, grows = over_ranks([-grown.min(initial=0.0), grown.max(initial=0.0)], self.matrix.layout.comm)
+        return -shrinks, grows
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""

@@ -287,6 +287,7 @@ class StepProblem:
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
         self.conduction = network.conduct(self.displacement, self.pressure, walls, self.term_step())
         self._scale = None
+        self.flow_scale()  # which refuses a trial that has none
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         before, now = self.fluid_before, self.conduction.compression
@@ -403,7 +404,7 @@ class StepProblem:
         if self._scale is None:
             stored, scales = self.conduction.compression, self.operators.scales
             held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
-            dense = self.operators.network.compressibility * float(self.conduction.pressure.max(initial=0.0))
+            dense = self.operators.network.compressibility * largest_of(np.maximum(self.conduction.pressure, 0.0))
             here = [float(self.conduction.conductance.max(initial=0.0)), held, dense]
             conducts, holds, dense = over_ranks(here, self.operators.layout.comm)
             scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)

@@ -191,6 +191,8 @@ def checks_of(rows: Sequence[Mapping[str, Any]]) -> list[Check]:
             for program in (OURS, THEIRS):
                 for choice, seconds in times(rows, case, program, error).items():
                     print(f"  {program} {choice}: {seconds:.2f} s, of which {start(rows, program):.2f} s to start")
+        if not any(row["case"] == case and row["program"] == THEIRS and not row["failure"] for row in rows):
+            checks.append(Check(f"{case.upper()}: {THEIRS}", "no run that ended", "runs", False))
         for row in front(rows, case):
             where, seconds = beside(rows, row)
             share = max((least, share) for least, share in SHARES if row["cpu_s"] >= least)[1]

@@ -74,7 +74,6 @@ def test_a_trial_under_absurd_pressure_is_refused_by_name(exponent):
     problem.pressure.set(exponent * 1e6)
     with pytest.raises(NotConverged, match=r"/compressibility, which must be at most 100"):
         problem.evaluate()
-        problem.flow_scale()
     problem.destroy()
 
 

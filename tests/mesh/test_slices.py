@@ -17,7 +17,7 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
-from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_rest
+from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.near_first import with_near_first as near_of
 from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
 from fracflow.mesh.slices.shares import distribute_slices
@@ -64,7 +64,14 @@ def sliced(request, shared_tmp):
     scene, whole, rigid = _whole(request.param)
     near, slices = _sliced(scene, _saved(whole, shared_tmp / "kept.h5"))
     blocks = distribute_slices(near, slices, rigid)
-    return scene, with_near_first(whole, looked_at(scene, whole)), rigid, with_rest(near, blocks), slices, blocks
+    return (
+        scene,
+        with_near_first(whole, looked_at(scene, whole)),
+        rigid,
+        with_sums_of_cells(near, blocks),
+        slices,
+        blocks,
+    )
 
 
 def test_numbers_are_those_of_a_whole_mesh_with_its_near_cells_first(sliced):
@@ -72,7 +79,7 @@ def test_numbers_are_those_of_a_whole_mesh_with_its_near_cells_first(sliced):
     if near is not None:
         nodes = len(near.points)
         for name, values in vars(whole).items():
-            if name not in ("points", "origin", "cells", "cell_rock", "rest"):
+            if name not in ("points", "origin", "cells", "cell_rock", "sums"):
                 _assert_same(getattr(near, name), values)
         for name, count in (("points", nodes), ("origin", nodes), ("cells", whole.near), ("cell_rock", whole.near)):
             assert np.array_equal(getattr(near, name), getattr(whole, name)[:count])

@@ -9,12 +9,12 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Ints, Rest, SplitMesh
+from fracflow.mesh.data import CellSums, Ints, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas, is_blunt
 from fracflow.mesh.slabs import Distributed, Order
 
 
-def with_rest(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
+def with_sums_of_cells(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
     """The mesh of near cells, on rank 0, with what it must know of all. Collective."""
     comm, solid = blocks.comm, blocks.solid
     near = comm.bcast(0 if mesh is None else len(mesh.points), root=0)
@@ -30,8 +30,8 @@ def with_rest(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
     if mesh is None or piece is None:
         return None
     cells = blocks.sizes.cells
-    rest = Rest(cells, piece, sums[:count], solid.piece_rock, sums[count:-1], float(sums[-1]) / cells)
-    return replace(mesh, rest=rest)
+    found = CellSums(cells, piece, sums[:count], solid.piece_rock, sums[count:-1], float(sums[-1]) / cells)
+    return replace(mesh, sums=found)
 
 
 def sliced_parts(blocks: Blocks) -> dict[str, Distributed]:
@@ -71,10 +71,10 @@ class _Numbered:
 
 def gathered(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
     """A mesh, on rank 0, with all its cells where it has the near ones alone: all of it in the memory of rank 0. Collective."""
-    if not blocks.comm.bcast(mesh is not None and mesh.rest is not None, root=0):
+    if not blocks.comm.bcast(mesh is not None and mesh.sums is not None, root=0):
         return mesh
     found: dict[str, Any] = {}
     for name, part in sliced_parts(blocks).items():
         values = part.values[np.arange(part.order.count)]
         found[name] = part.order.whole(values)
-    return None if mesh is None else replace(mesh, **found, near=-1, rest=None)
+    return None if mesh is None else replace(mesh, **found, near=-1, sums=None)

@@ -9,19 +9,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.slices.directory import Directory, Values
 from fracflow.mesh.store import SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
 from fracflow.storage.sealed import AGAIN, slabs_of
 
-Result = TypeVar("Result")
 NONE = np.zeros(0, dtype=np.int64)
 FEWEST = 200_000  # cells from which on slices pay: of fewer, all take rank 0 less memory than the start of the program
 
@@ -86,22 +86,9 @@ class Raw:
     frame_node: Ints
 
 
-def agreed(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on rank 0. Raises its InputError on every rank. Collective."""
-    result, failure = None, ""
-    if comm.rank == 0:
-        try:
-            result = work()
-        except InputError as error:
-            failure = str(error)
-    if failure := comm.bcast(failure, root=0):
-        raise InputError(failure)
-    return result
-
-
 def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
     """Read a saved mesh of plane rock. Raises InputError, on every rank. Collective."""
-    file = agreed(comm, lambda: _opened(saved))
+    file = on_root(comm, lambda: _opened(saved))
     layout = comm.bcast(None if file is None else file.layout, root=0)
     found = {name: _slab(comm, file, name, *layout[name]) for name in SLICED}
     cells, nodes = Directory(comm, layout["cells"][1][0]), Directory(comm, layout["points"][1][0])
@@ -119,7 +106,7 @@ def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
         assert tables is not None
         return _frame(saved, tables, frame_node, frame_points, frame_origin)
 
-    frame = agreed(comm, framed)
+    frame = on_root(comm, framed)
     corner_points = nodes.look_up(found["points"], corner)
     return Raw(saved, cells, nodes, cell, found["cell_rock"], found["points"], found["origin"], corner, local,
         corner_points, frame, frame_node)  # fmt: skip
@@ -142,7 +129,7 @@ def _slab(comm: MPI.Comm, file: SlicedFile | None, name: str, kind: str, shape: 
     part = Directory(comm, shape[0])
     found = np.empty((part.last - part.first, *shape[1:]), dtype=np.float64 if name == "points" else np.int64)
     for first, last in slabs_of(np.dtype(kind), shape):
-        rows = agreed(comm, partial(_rows, file, name, first, last))
+        rows = on_root(comm, partial(_rows, file, name, first, last))
         lowest, highest = owner_of(part.starts, np.array([first, last - 1])).tolist()
         for rank in range(lowest, highest + 1):
             start, end = (int(each) for each in part.starts[rank : rank + 2])
