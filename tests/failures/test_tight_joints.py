@@ -80,6 +80,32 @@ def test_a_front_does_not_close_the_springs_that_it_opens(shared_tmp):
     assert found["step/newton"].max() <= 25
 
 
+def test_springs_that_overlap_do_not_keep_a_front_from_others(shared_tmp):
+    """A side that moves in by 4 mm closes a drained seam by more than its aperture, while a front opens the fault."""
+    fault = {"normal_stiffness": 20e9, "shear_stiffness": 20e9, "aperture": 10e-6, "law": "linear"}
+    traces = [*SCENE["geometry"]["fracture"], {"name": "seam", "points": [[2.0, -3.0], [4.5, 2.5]]}]
+    ends = (
+        {"name": end, "at": {"fracture": "seam", "end": end}, "pressure": [[0, 5e5], [1, 0]]}
+        for end in ("start", "end")
+    )
+    scene = SCENE | {
+        "geometry": SCENE["geometry"] | {"fracture": traces},
+        "fracture": {"fault": fault, "seam": fault | {"normal_stiffness": 5e9}},
+        "support": [
+            {"on": "west", "components": ["x"], "displacement": {"x": [[0, 0], [3, 0.004], [24, 0.004]]}},
+            {"on": "east", "components": ["x"]},
+            {"on": ["south", "north"], "components": ["y"]},
+        ],
+        "well": [*SCENE["well"], *ends],
+    }
+    done = run(Scene.from_data(scene, shared_tmp / "scene.toml"), shared_tmp / "run", MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    found = read_history(shared_tmp / "run" / "history.h5")
+    assert any("more than their aperture" in line for line in done.doubts)
+    assert len(found["time"]) == 9 and not found["step/rejected"].any()
+    assert found["step/newton"].max() <= 40
+
+
 @pytest.mark.serial
 def test_random_tight_joints_end_right(tmp_path):
     """One that lifts off, crossings whose walls part seventyfold in a step."""
