@@ -33,7 +33,7 @@ UNKNOWNS, CELLS = (1e5, 4e5, 1e6), ("triangles", "quads")
 AREA = 40e3 * 24e3  # of the scene [m^2]
 CACHED = 1e4  # unknowns whose values stay in the fastest memory
 ASKED = 3e7  # unknown-steps per CPU second
-MOST_OF_SECTION = 30.0  # unknowns, whose steps cost as much as that of a section
+MOST_OF_SECTION = 30.0  # unknowns of a rock with the fewest faults, whose steps cost as much as that of a section
 EDGES = ((6.0, 70.0), (9.0, 78.0), (13.5, 70.0), (16.5, 81.6), (21.0, 70.0), (24.0, 62.0), (30.0, 70.0))
 """(km, MPa): up to where along the fault the shear stress is so much."""
 FIRST = 2  # states on record that do not count
@@ -274,7 +274,7 @@ def main() -> None:
         for unknowns in given.unknowns:
             if given.sections:
                 rows.append(section(unknowns, cells, sorted(given.sections), way))
-                slow |= max(rows[-1]["section_in_unknowns"]["sweep"]) > MOST_OF_SECTION
+                slow |= max(rows[-1]["section_in_unknowns"]["step"]) > MOST_OF_SECTION
             else:
                 rows.append(measure(unknowns, cells, way.parts, way.states, way.folder))
                 slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
