@@ -19,7 +19,7 @@ from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.balance import static_balance_of
-from fracflow.model.compressibility import DENSEST, compression_of, lost, uptake_at, why_not_finite
+from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import MotionValues, Sections, State, Work
@@ -48,6 +48,7 @@ from fracflow.solve.residual import (
 from fracflow.solve.statuses import Statuses
 
 SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
+HUGE = 1e150  # a volume rate: squares of larger ones overflow
 BLURRED = 1e-11  # of the largest term, and of a gap: round-off of jumps from which on strains are followed
 SAME_TRIAL = 32.0  # round-offs of a jump by which followed strains may be off it
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
@@ -404,12 +405,11 @@ class StepProblem:
         if self._scale is None:
             stored, scales = self.conduction.compression, self.operators.scales
             held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
-            dense = self.operators.network.compressibility * largest_of(np.maximum(self.conduction.pressure, 0.0))
-            here = [float(self.conduction.conductance.max(initial=0.0)), held, dense]
-            conducts, holds, dense = over_ranks(here, self.operators.layout.comm)
+            here = [largest_of(self.conduction.conductance), held]
+            conducts, holds = over_ranks(here, self.operators.layout.comm)
             scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
             scale = max(scale, self.alphas.b1 * holds * scales.pressure)
-            if not (np.isfinite(scale) and dense <= DENSEST):
+            if not scale < HUGE:
                 raise self._not_finite()
             self._scale = 2.0 ** round(math.log2(scale)) if scale > 0.0 else 1.0
         return self._scale

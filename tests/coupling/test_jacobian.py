@@ -62,7 +62,7 @@ def test_jacobian_of_a_compressible_fluid(stepper):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("exponent", [200.0, 1e6])
+@pytest.mark.parametrize("exponent", [400.0, 1e6])
 def test_a_trial_under_absurd_pressure_is_refused_by_name(exponent):
     """Newton's method may ask for it: densities overflow there, or their squares do."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6"])
