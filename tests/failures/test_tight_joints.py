@@ -61,7 +61,9 @@ def test_jumps_of_a_megapascal_need_no_halving(shared_tmp):
     MPI.COMM_WORLD.barrier()
     found = read_history(shared_tmp / "run" / "history.h5")
     assert len(found["time"]) == 9 and not found["step/rejected"].any()
-    assert found["step/newton"].max() <= 40
+    assert (
+        found["step/newton"].sum() <= 120
+    )  # 97 on one rank, 105 on two; held to the end they were 134, besides a rejected trial
     assert np.diff(found["probe/injection/opening"])[0] > 1e-5 and found["probe/injection/normal_traction"].max() == 0.0
     assert found["probe/injection/normal_traction"][-1] < -1e5
     assert not any(np.isinf(step.state.sections.traction).any() for step in trials)
@@ -103,7 +105,9 @@ def test_springs_that_overlap_do_not_keep_a_front_from_others(shared_tmp):
     found = read_history(shared_tmp / "run" / "history.h5")
     assert any("more than their aperture" in line for line in done.doubts)
     assert len(found["time"]) == 9 and not found["step/rejected"].any()
-    assert found["step/newton"].max() <= 40
+    assert (
+        found["step/newton"].sum() <= 120
+    )  # 97 on one rank, 105 on two; held to the end they were 134, besides a rejected trial
 
 
 @pytest.mark.serial
