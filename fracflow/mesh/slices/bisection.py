@@ -6,6 +6,7 @@ Cuts depend on counts of cells alone, so the partition is the same whenever it i
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -78,9 +79,9 @@ def _limits(key: Ints, box: Ints, wanted: Ints, comm: MPI.Comm) -> tuple[Ints, I
     key, ends = key[order], np.searchsorted(box[order], np.arange(len(wanted) + 1))
     parts = [key[start:end] for start, end in pairwise(ends.tolist())]
 
-    def upto(limit: Ints, side: str) -> Ints:
+    def upto(limit: Ints, side: Literal["left", "right"]) -> Ints:
         pairs = zip(parts, limit, strict=True)
-        found = np.array([np.searchsorted(part, each, side=side) for part, each in pairs], dtype=np.int64)  # type: ignore[call-overload]
+        found = np.array([np.searchsorted(part, each, side=side) for part, each in pairs], dtype=np.int64)
         comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)
         return found
 
