@@ -18,8 +18,8 @@ from fracflow.advance.step_error import step_error
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, halvings_given, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.errors import NotConverged, OtherRock, ReductionInvalid
+from fracflow.mesh.agreement import on_root
 from fracflow.model.energy import refuse_made_energy
-from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.remarks import marked
 from fracflow.scene.advice import is_for_explicit

@@ -10,6 +10,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import outer_besides
@@ -21,7 +22,7 @@ from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import implied_tractions
 from fracflow.model.operators import Operators
 from fracflow.model.properties import body_force, initial_pressure, initial_stress, resting_pressure
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.model.solid import nodal_force
 from fracflow.model.state import Forces, Motion, Sections, State
 from fracflow.scene.materials import InitialMotion

@@ -17,8 +17,9 @@ from fracflow.advance.outcome import Advance, Outcome
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.slip import critical_length
 from fracflow.errors import NotConverged, SolveError
+from fracflow.mesh.agreement import on_root
 from fracflow.model.properties import on_joints
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.model.state import Sections, State
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH

@@ -90,7 +90,7 @@ def run_command(
     petsc_options(PETSc, context.args)
     from fracflow.cli.answer import report_checks
     from fracflow.diagnostics import as_records
-    from fracflow.model.setup import on_root
+    from fracflow.mesh.agreement import on_root
     from fracflow.output.folder import check_folder
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
@@ -132,7 +132,7 @@ def resume_command(
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow.model.setup import on_root
+    from fracflow.mesh.agreement import on_root
     from fracflow.output.folder import check_folder
     from fracflow.scene.scene import load
     from fracflow.simulation.run import has_ended, require_run, resume
@@ -217,7 +217,7 @@ def mesh_command(
     """Mesh and split only, with a summary; the mesh may be kept for runs where there is no Gmsh."""
     from fracflow._petsc import MPI
     from fracflow.cli.mesh import mesh_lines
-    from fracflow.model.setup import on_root
+    from fracflow.mesh.agreement import on_root
     from fracflow.scene.scene import load
 
     keep_imports()

@@ -48,7 +48,7 @@ def run_with_progress(
     is_new  whether the job writes every file of the folder itself, so that none is a stranger's
     """
     from fracflow.cli.progress import RunProgress, Screen
-    from fracflow.model.setup import on_root
+    from fracflow.mesh.agreement import on_root
     from fracflow.output.status import last_line
     from fracflow.solve.options import forget
 

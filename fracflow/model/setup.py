@@ -6,14 +6,12 @@ from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.mesh.agreement import on_first as on_first
-from fracflow.mesh.agreement import on_root as on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.cut_mesh import cut_mesh, near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
@@ -44,8 +42,6 @@ from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from typing_extensions import TypedDict
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import InputError
 from fracflow.laws.base import zero_history
+from fracflow.mesh.agreement import on_first, on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.mesh.slabs import Distributed, Order
 from fracflow.model.operators import Operators
-from fracflow.model.setup import on_first, on_root
 from fracflow.model.state import (
     FluidVolumes,
     Forces,

@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.around import mesh_around
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH, side_names
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.setup import Model, geometry_of, naming, on_root, place, set_up
+from fracflow.model.setup import Model, geometry_of, naming, place, set_up
 from fracflow.output.remarks import MESH_OF_EVENTS
 from fracflow.reduction.decision import Decision
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths

@@ -13,6 +13,7 @@ from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.base import HELD
 from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.slices.gathering import gathered
@@ -20,7 +21,7 @@ from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
 from fracflow.model.properties import initial_pressure
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.stress import deforms, elastic_moduli, strain, stress_change, tensors
 from fracflow.reduction.decision import LockedFractures, ReductionInput

@@ -8,21 +8,11 @@ from types import MappingProxyType
 
 from fracflow._petsc import MPI, PETSc, timed
 from fracflow.diagnostics.well_parts import unconnected_wells
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.setup import (
-    Model,
-    Placed,
-    fitting,
-    made_ready,
-    naming,
-    on_root,
-    place,
-    read_sized,
-    set_up,
-    split_of,
-)
+from fracflow.model.setup import Model, Placed, fitting, made_ready, naming, place, read_sized, set_up, split_of
 from fracflow.reduction.far_sides import assessed, is_left_out, near_sides, without_sides
 from fracflow.reduction.mesh_size import proposed
 from fracflow.reduction.sliced import Kept, has_no_cells, in_slices, whole_of

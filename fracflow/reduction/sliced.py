@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.read import SPLIT
@@ -13,7 +14,7 @@ from fracflow.mesh.slabs import Distributed
 from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import Model, Placed, made_ready, on_root, place, places_of
+from fracflow.model.setup import Model, Placed, made_ready, place, places_of
 from fracflow.scene.scene import Scene
 
 Kept = SplitMesh | SavedMesh

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.data import Bools, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
 from fracflow.model.dirichlet import PrescribedValues, own
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene

@@ -12,11 +12,11 @@ from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import CheckInput
 from fracflow.diagnostics.thin_rock import thin_rock_lines
 from fracflow.integrators import stepper_from
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import BLUNT
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.whole import share_of_blunt
-from fracflow.model.setup import on_root
 from fracflow.reduction.mesh_size import SAME, WorstCell, needs, typical_length, worst_of
 from fracflow.scene.advice import GENTLE, is_for_explicit
 from fracflow.scene.scene import Scene

@@ -11,6 +11,7 @@ from fracflow.advance.slip_rate import creeps
 from fracflow.advance.step import Step
 from fracflow.advance.wells import reached_before
 from fracflow.integrators import EXPLICIT
+from fracflow.mesh.data import Floats
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
@@ -225,24 +226,16 @@ def suction_line(model: Model, state: State) -> str:
     limit = -LEAST_SUCTION * scene.fluid.initial_pressure
     if state.pressure.min()[1] >= limit:
         return ""
-    joints = blocks.joints
-    pressure, ends = flow.at_ends(state.pressure), blocks.solid.points[joints.bottom]
-    extent = extent_of(blocks.solid.points)
-    pressure = np.where(initial_pressure(scene, ends) > 0.0, pressure, np.inf)
-    here = (np.inf, "", 0.0, 0.0)
-    if pressure.size and pressure.min() < limit:
-        joint, end = np.unravel_index(int(pressure.argmin()), pressure.shape)
-        x, y = ends[joint, end]
-        here = (float(pressure.min()), joints.fractures[joints.fracture[joint]], float(x), float(y))
-    lowest, name, x, y = min(blocks.comm.allgather(here))
-    if not name:
+    pressure, ends = flow.at_ends(state.pressure), blocks.solid.points[blocks.joints.bottom]
+    counts = (pressure < limit) & (initial_pressure(scene, ends) > 0.0)
+    found = _lowest(model, np.where(counts, pressure, np.inf))
+    if found is None:
         return ""
-    system, at = scene.unit_system, place_text((x, y), extent)
-    pressures, lengths = map(system.behind, (STRESS, LENGTH))
-    time = f"time {scene.time_text(state.time)}"
+    lowest, where = found
     return (
-        f"{time}: the pressure in {name} at {at}{lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
-        " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
+        f"time {scene.time_text(state.time)}: the pressure in {where} falls to"
+        f" {lowest:.3g}{scene.unit_system.behind(STRESS)}, below zero: a fluid boils or lets air in there,"
+        " which the model leaves out, and pulls the walls together in it: give a"
         " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
     )
 
@@ -252,26 +245,34 @@ def overlap_line(model: Model, state: State) -> str:
 
     Springs let them: a law that closes along a hyperbola does not.
     """
-    scene, network, blocks = model.scene, model.operators.flow, model.operators.blocks
+    scene, network = model.scene, model.operators.flow
     if network is None:
         return ""
     opening = model.operators.joints.openings(state.sections.strain)
     wide = network.apertures(state.motion.displacement, opening)
-    joints, wide = blocks.joints, np.where(np.isnan(network.given)[:, None], wide, np.inf)
-    here = (0.0, "", 0.0, 0.0)
-    if wide.size and np.any(beyond := wide < -LEAST_OVERLAP * network.aperture):
-        joint, end = np.unravel_index(int(np.where(beyond, wide, 0.0).argmin()), wide.shape)
-        x, y = blocks.solid.points[joints.bottom[joint, end]][:2]
-        here = (float(wide[joint, end]), joints.fractures[joints.fracture[joint]], float(x), float(y))
-    least, name, x, y = min(blocks.comm.allgather(here))
-    if not name:
+    overlaps = (wide < -LEAST_OVERLAP * network.aperture) & np.isnan(network.given)[:, None]
+    found = _lowest(model, np.where(overlaps, wide, np.inf))
+    if found is None:
         return ""
-    at, unit = place_text((x, y), extent_of(blocks.solid.points)), scene.unit_system.behind(LENGTH)
+    least, where = found
     return (
-        f"time {scene.time_text(state.time)}: walls of {name} at {at}{unit} close by {-least:.3g}{unit} more than their"
-        " aperture, as springs let them: later openings and flows are wrong there. Take a law that closes along a hyperbola, a"
-        " wider aperture, or a larger normal_stiffness"
+        f"time {scene.time_text(state.time)}: walls of {where} close by {-least:.3g}{scene.unit_system.behind(LENGTH)} more"
+        " than their aperture, as springs let them: later openings and flows are wrong there. Take a law that closes along a"
+        " hyperbola, a wider aperture, or a larger normal_stiffness"
     )
+
+
+def _lowest(model: Model, values: Floats) -> tuple[float, str] | None:
+    """The lowest value (j, 2) at an end of a joint, and the fracture and place; None where all are infinite. Collective."""
+    blocks, here = model.operators.blocks, (np.inf, "", 0.0, 0.0)
+    joints, points = blocks.joints, blocks.solid.points
+    if values.min(initial=np.inf) < np.inf:
+        joint, end = np.unravel_index(int(values.argmin()), values.shape)
+        x, y = points[joints.bottom[joint, end]][:2]
+        here = (float(values[joint, end]), joints.fractures[joints.fracture[joint]], float(x), float(y))
+    lowest, name, x, y = min(blocks.comm.allgather(here))
+    at = place_text((x, y), extent_of(points))
+    return (lowest, f"{name} at {at}{model.scene.unit_system.behind(LENGTH)}") if name else None
 
 
 def open_tip_line(model: Model, state: State) -> str:

@@ -11,8 +11,9 @@ from pathlib import Path
 from fracflow._petsc import MPI, timed
 from fracflow.advance.step import Step
 from fracflow.errors import DiskError
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.slabs import on_rank_0
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.output import sampling
 from fracflow.output.checkpoint import prestress_array, state_arrays
 from fracflow.output.drawing.axes import shown

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import on_root, place
+from fracflow.model.setup import place
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_plot import draw
 from fracflow.output.folder import MARKER, check_folder, holds

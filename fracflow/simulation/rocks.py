@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from fracflow._petsc import PETSc, timed
 from fracflow.advance.step import Step
 from fracflow.errors import OtherRock
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.store import load_mesh
 from fracflow.model.operators import Operators
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.output.drawing.axes import shown
 from fracflow.output.remarks import FROZEN
 from fracflow.remarks import marked, note, parted

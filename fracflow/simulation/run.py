@@ -15,10 +15,11 @@ from fracflow.advance.stage import first_substep, refuse_moved, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
 from fracflow.errors import DiskError, InputError, Interrupted, OtherRock, ReductionInvalid, SolveError, is_alone
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import Model, on_root
+from fracflow.model.setup import Model
 from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_prestress, restore_state, restoring
 from fracflow.output.folder import check_own

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.distribute import distribute, partition_cells, rigid_bodies
-from fracflow.model.setup import on_root
 from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.model.setup import on_root
+from fracflow.mesh.agreement import on_root
 from fracflow.model.terms.fault_damping import cells_near, damping_at_faults
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load

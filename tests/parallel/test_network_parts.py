@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.model.mass import inverse_mass
 from fracflow.model.network_parts import NetworkComponents, leaving
-from fracflow.model.setup import on_root
 from fracflow.model.undrained import change_volume, close, closure_row
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load

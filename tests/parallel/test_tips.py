@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.distribute import distribute
-from fracflow.model.setup import on_root
 from fracflow.model.terms.tips import excesses
 from fracflow.output import read_history
 from fracflow.reduction.prepare import read_split
