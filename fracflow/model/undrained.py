@@ -12,8 +12,10 @@ from typing import Literal
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
+from fracflow.elements.flow import element_flow
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.model.flow import BOTH_WAYS, Conduction
 from fracflow.model.layout import FewEntries, Layout, add_blocks, create_matrix, local_rows, product
 from fracflow.model.network_parts import NetworkComponent, NetworkComponents
 from fracflow.model.operators import Operators
@@ -144,6 +146,11 @@ class SummedBalances:
         found[self.roots] = 0.0
         found[self.roots] = values[self.roots] * rate * self.sizes - self._sums(found)
         return found
+
+    def between(self, conduction: Conduction) -> Floats:
+        """Outflow (j, 2) of the ends of elements that join two components, as good as pinched [volume rate per thickness]."""
+        is_joining = self.root_at[:, 0] != self.root_at[:, 1]
+        return element_flow(np.where(is_joining, conduction.conductance, 0.0), conduction.pressure)[:, None] * BOTH_WAYS
 
     def add_diagonal(self, matrix: PETSc.Mat, values: Floats, rate: float) -> None:
         """Add values (n,) at this rank's flow nodes to a matrix of pressures, whose rows at roots are such sums. Collective."""
