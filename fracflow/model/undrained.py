@@ -12,10 +12,9 @@ from typing import Literal
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
-from fracflow.elements.flow import element_flow
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.flow import BOTH_WAYS, Conduction
+from fracflow.model.flow import Conduction
 from fracflow.model.layout import FewEntries, Layout, add_blocks, create_matrix, local_rows, product
 from fracflow.model.network_parts import NetworkComponent, NetworkComponents
 from fracflow.model.operators import Operators
@@ -147,10 +146,15 @@ class SummedBalances:
         found[self.roots] = values[self.roots] * rate * self.sizes - self._sums(found)
         return found
 
-    def between(self, conduction: Conduction) -> Floats:
-        """Outflow (j, 2) of the ends of elements that join two components, as good as pinched [volume rate per thickness]."""
-        is_joining = self.root_at[:, 0] != self.root_at[:, 1]
-        return element_flow(np.where(is_joining, conduction.conductance, 0.0), conduction.pressure)[:, None] * BOTH_WAYS
+    @property
+    def is_joining(self) -> Bools:
+        """Elements (j,) that join two components, as good as pinched."""
+        return np.asarray(self.root_at[:, 0] != self.root_at[:, 1])
+
+    def between(self, conduction: Conduction) -> Conduction:
+        """Flow from component to component alone, which is in the sums; nothing is stored or lost."""
+        conductance, slope = np.where(self.is_joining, conduction.conductance, 0.0), conduction.slope
+        return Conduction(conductance, np.where(self.is_joining[:, None], slope, 0.0), conduction.pressure)
 
     def add_diagonal(self, matrix: PETSc.Mat, values: Floats, rate: float) -> None:
         """Add values (n,) at this rank's flow nodes to a matrix of pressures, whose rows at roots are such sums. Collective."""

@@ -22,7 +22,7 @@ from fracflow.model.joints import section_groups
 from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.model.undrained import Closure, closure_row
+from fracflow.model.undrained import Closure, SummedBalances, closure_row
 from fracflow.solve.fractured_rock.rigid_motions import near_null_space, node_size
 from fracflow.solve.pattern import Entries, Pattern, by_rows, csr_of
 
@@ -156,12 +156,13 @@ class JoinedMatrix:
         network, summed = self.operators.network, self._summed
         assert summed is not None
         volumes = network.storage_coupling.matTransposeMult(summed.members).transpose()
-        opened = summed.members.matMult(network.feedback)
-        parts["summed pressures"] = self._entries(summed.members, "flow", "flow")[0]
+        opened, beside = summed.members.matMult(network.feedback), self._network_pattern()
+        near = summed.members.matMult(beside)
+        parts["summed pressures"] = self._entries(near, "flow", "flow")[0]
         parts["summed openings"] = self._entries(opened, "flow", "solid")[0]
         parts["summed walls"], values = self._entries(volumes, "flow", "solid")
         starts = volumes.getValuesCSR()[0]
-        destroy(volumes, opened)
+        destroy(volumes, opened, beside, near)
         sizes = np.ones(self.layout.flow_count)
         sizes[summed.roots] = summed.sizes
         return values * self.operators.scales.displacement / np.repeat(sizes, np.diff(starts))
@@ -317,6 +318,7 @@ class JoinedMatrix:
                     add_blocks(matrix, nodes[joint], unknowns, flow_solid * values)
             if self._summed is not None:
                 self._keep_fluid(free, *(each / alphas.a1 for each in conduction.of_ends(alphas.b1)))
+                self._let_through(free, self._summed, conduction, alphas.a1)
             elif self._fluids and conduction.compression is not None:
                 self._keep_fluid(free, conduction.compression.weight, conduction.compression.slope)
         matrix.assemble()
@@ -394,6 +396,16 @@ class JoinedMatrix:
         values = by_opening.ravel() * scales.displacement / size
         for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
             add_blocks(self.matrix, rows[ends], unknowns, (values[ends, None] * normal)[:, None, :])
+
+    def _let_through(self, free: FreePart, summed: SummedBalances, conduction: Conduction, rate: float) -> None:
+        """Add what flows from component to component, ``rate`` a volume, to the sums of their balances."""
+        scales, size = self.operators.scales, rate * self._kept[:, :, None]
+        rows = np.where(summed.is_joining[:, None], free.keeping, -1)
+        by_pressure, by_opening = (each / size for each in summed.between(conduction).tangents(0.0))
+        add_blocks(self.matrix, rows, free.flow_nodes, scales.pressure * by_pressure)
+        for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
+            values = by_opening[ends // 2, :, ends % 2][:, :, None] * normal[:, None, :]
+            add_blocks(self.matrix, rows[ends // 2], unknowns, scales.displacement * values)
 
     def destroy(self) -> None:
         """Free the matrices. Collective."""

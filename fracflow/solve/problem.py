@@ -323,7 +323,7 @@ class StepProblem:
         """In place of the balance at each root its component's: what is ``stored`` (n,) of the inflow, without conduction.
 
         rows (n,) sizes of its terms; moved as for ``round_off_of_flow``. Flow within the component has no part in it, nor
-        in its round-off. What still passes from one component to another has. Collective.
+        in its round-off. Flow from one component to another has. Collective.
         """
         summed, network, rate = self.loads.summed, self.operators.network, self.alphas.a1 / self.flow_scale()
         assert summed is not None and self.conduction is not None
@@ -334,7 +334,10 @@ class StepProblem:
         taken = stored if self.taken_up is None else stored + self.taken_up
         if self.conduction.leaving is not None:  # at a given rate, which settles no pressure
             taken = taken + network.at_nodes(self.conduction.leaving.rate)
-        taken = taken + network.at_nodes(summed.between(self.conduction))
+        passed = self.operators.layout.flow_vector()
+        network.outflow(summed.between(self.conduction), passed)
+        taken = taken + passed.getArray(readonly=True)
+        passed.destroy()
         roots = summed.roots
         kept = self.flow_balance.getArray(), self._flow_noise, self._flow_rows
         for values, of_storage in zip(kept, (taken, known, rows), strict=True):
