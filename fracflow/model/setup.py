@@ -193,6 +193,11 @@ def places_of(scene: Scene, mesh: SplitMesh) -> tuple[Floats, set[str]]:
     return np.array(places).reshape(-1, mesh.points.shape[1]), held
 
 
+def fractures_of(scene: Scene) -> set[str]:
+    """Names of fractures whose joints ``places_of`` needs."""
+    return {probe.at.fracture for probe in scene.probe if isinstance(probe.at, (FractureEnd, AlongFracture))}
+
+
 def fitting(scene: Scene, mesh: SplitMesh) -> SplitMesh:
     """A saved mesh; with all cells, where the scene has changed since and its places lie in others than the near ones."""
     uncut = mesh.uncut

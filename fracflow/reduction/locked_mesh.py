@@ -27,6 +27,7 @@ from fracflow.model.stress import deforms, elastic_moduli, strain, stress_change
 from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
+from fracflow.reduction.sliced import Whole
 from fracflow.reduction.unloaded_blocks import named_nodes
 
 MOST = 1e7  # distances between fractures: some seconds
@@ -167,7 +168,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
     mesh = on_root(comm, lambda: None if whole is None else near_mesh(merged_faces(whole.uncut, _chosen(whole, names))))
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names, sides=model.sides)
+    return replace(prepare(model.scene, comm, Whole.of(mesh, comm), cell_rank), whole=model, locked=names, sides=model.sides)
 
 
 def watch_locked(model: Model, state: State) -> None:

@@ -19,11 +19,11 @@ from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
 from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.near_first import with_near_first as near_of
-from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
+from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
 from fracflow.mesh.slices.shares import distribute_slices
 from fracflow.mesh.split import split
 from fracflow.mesh.store import load_mesh, load_split, save_mesh
-from fracflow.model.setup import looked_at, place, places_of
+from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
 from fracflow.reduction.prepare import read_uncut
 from fracflow.reduction.unloaded_blocks import parts
@@ -54,8 +54,9 @@ def _saved(mesh, path):
 def _sliced(scene, path, near=-1):
     """Near cells, slices and blocks by the slices of a file."""
     raw = read(COMM, SavedMesh(path, near=near))
-    places, rocks = COMM.bcast(places_of(scene, raw.frame) if COMM.rank == 0 else None, root=0)
-    names = COMM.bcast(raw.frame.rocks if COMM.rank == 0 else None, root=0)
+    frame = frame_of(raw, fractures_of(scene))
+    places, rocks = COMM.bcast(places_of(scene, frame) if COMM.rank == 0 else None, root=0)
+    names = raw.facets.rows.rocks
     return near_of(raw, places, [number for number, name in enumerate(names) if name in rocks])
 
 
@@ -221,6 +222,23 @@ def test_a_mesh_that_was_changed_is_refused_on_every_rank(shared_tmp):
     COMM.barrier()
     with pytest.raises(InputError, match="points, rows 0 to"):
         read(COMM, SavedMesh(path))
+
+
+@pytest.mark.parametrize(
+    ("there", "says"), [("none.h5", "no such file"), ("other.h5", "another file there than rank 0")]
+)
+def test_a_rank_that_finds_another_file_stops_all(there, says, shared_tmp):
+    whole = split(_grid())
+    _saved(whole, shared_tmp / "kept.h5")
+    _saved(replace(whole, notes=("another",)), shared_tmp / "other.h5")
+    link = shared_tmp / f"{COMM.rank}.h5"
+    is_last = COMM.rank == COMM.size - 1 and (COMM.size > 1 or there == "none.h5")
+    link.symlink_to(there if is_last else "kept.h5")
+    if COMM.size == 1 and there != "none.h5":
+        assert read(COMM, SavedMesh(link)).cells.total == len(whole.cells)
+        return
+    with pytest.raises(InputError, match=says):
+        read(COMM, SavedMesh(link))
 
 
 @pytest.mark.serial
