@@ -16,7 +16,7 @@ from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.slices.gathering import gathered
+from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
@@ -27,7 +27,7 @@ from fracflow.model.stress import deforms, elastic_moduli, strain, stress_change
 from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
-from fracflow.reduction.sliced import Whole
+from fracflow.reduction.sliced import InPieces, Kept, Whole
 from fracflow.reduction.unloaded_blocks import named_nodes
 
 MOST = 1e7  # distances between fractures: some seconds
@@ -164,11 +164,16 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
-    whole = gathered(model.mesh, ops.blocks)
-    mesh = on_root(comm, lambda: None if whole is None else near_mesh(merged_faces(whole.uncut, _chosen(whole, names))))
+    mesh, chosen = model.mesh, np.isin(np.array(ops.blocks.joints.fractures), names)
+    kept: Kept
+    if comm.bcast(mesh is not None and mesh.sums is not None, root=0):
+        kept, cell_rank = InPieces(*merged_slices(mesh, ops.blocks, chosen)), None
+    else:
+        merged = on_root(comm, lambda: None if mesh is None else near_mesh(merged_faces(mesh.uncut, chosen)))
+        kept = Whole.of(merged, comm)
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, Whole.of(mesh, comm), cell_rank), whole=model, locked=names, sides=model.sides)
+    return replace(prepare(model.scene, comm, kept, cell_rank), whole=model, locked=names, sides=model.sides)
 
 
 def watch_locked(model: Model, state: State) -> None:

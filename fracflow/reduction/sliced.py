@@ -95,6 +95,23 @@ class InFile:
         return None
 
 
+@dataclass(frozen=True)
+class InPieces:
+    """Slices that ranks have made of others, and the near cells on rank 0; None elsewhere."""
+
+    near: SplitMesh | None
+    slices: Slices
+    has_cells: bool = True
+
+    def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
+        """Near cells on rank 0, places and blocks. Raises InputError, on every rank. Collective."""
+        return distributed(scene, self.near, self.slices)
+
+    def partition(self, arrays: SealedFile | None) -> Ints | None:
+        """None: ranks find the same one again."""
+        return None
+
+
 def kept_mesh(comm: MPI.Comm, path: Path, root: str = "") -> Kept:
     """The mesh of a run folder, with the ``root`` of its seal where that is known.
 

@@ -18,10 +18,11 @@ from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
 from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_sums_of_cells
+from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.slices.near_first import with_near_first as near_of
 from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
 from fracflow.mesh.slices.shares import distribute_slices
-from fracflow.mesh.split import split
+from fracflow.mesh.split import groups, merged_faces, split
 from fracflow.mesh.store import load_mesh, load_split, save_mesh
 from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
@@ -239,6 +240,21 @@ def test_a_rank_that_finds_another_file_stops_all(there, says, shared_tmp):
         return
     with pytest.raises(InputError, match=says):
         read(COMM, SavedMesh(link))
+
+
+def test_walls_are_merged_on_pieces_as_in_a_whole_mesh(sliced):
+    _, whole, rigid, near, _, blocks = sliced
+    chosen = groups(whole) == groups(whole)[0] if len(whole.fractures) else np.zeros(0, dtype=bool)
+    without = merged_faces(whole, chosen)
+    found, slices = merged_slices(near, blocks, chosen)
+    assert np.array_equal(slices.points, without.points[slices.nodes.numbers])
+    assert np.array_equal(slices.origin, without.origin[slices.nodes.numbers])
+    assert np.array_equal(slices.cells, without.cells[slices.number])
+    same = distribute_slices(found, slices, rigid)
+    again = gathered(with_sums_of_cells(found, same), same)
+    if COMM.rank == 0:
+        assert len(without.joint_bottom) < len(whole.joint_bottom) or not len(whole.fractures)
+        _assert_same(again, replace(without, near=-1))
 
 
 @pytest.mark.serial
