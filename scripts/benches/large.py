@@ -53,12 +53,12 @@ METHODS = {
 PARTS = {
     "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "reduction.sliced:load_mesh"],
     "places and checks": [
-        "reduction.prepare:place",
+        "reduction.sliced:place",
         "reduction.prepare:unresolved",
         "reduction.prepare:unconnected_wells",
         "simulation.files:pre_run_checks",
     ],
-    "distribution": ["model.setup:distribute", "reduction.prepare:in_slices"],
+    "distribution": ["model.setup:distribute", "reduction.sliced:InFile.taken"],
     "assembly": ["model.setup:assemble", "model.setup:with_terms", "model.setup:assemble_loads"],
     "initial state": [
         "simulation.run:refuse_imbalance",
