@@ -17,13 +17,14 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
-from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_sums_of_cells
+from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.slices.near_first import with_near_first as near_of
 from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
 from fracflow.mesh.slices.shares import distribute_slices
 from fracflow.mesh.split import groups, merged_faces, split
 from fracflow.mesh.store import load_mesh, load_split, save_mesh
+from fracflow.mesh.whole import blocks_with
 from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
 from fracflow.reduction.prepare import read_uncut
@@ -61,6 +62,14 @@ def _sliced(scene, path, near=-1):
     return near_of(raw, places, [number for number, name in enumerate(names) if name in rocks])
 
 
+def _gathered(near, blocks):
+    """All cells on rank 0, of a mesh of which ranks have them."""
+    found = {
+        name: part.order.whole(part.values[np.arange(part.order.count)]) for name, part in sliced_parts(blocks).items()
+    }
+    return None if near is None else replace(near, **found, near=-1, sums=None)
+
+
 @pytest.fixture(params=NAMES)
 def sliced(request, shared_tmp):
     scene, whole, rigid = _whole(request.param)
@@ -87,7 +96,7 @@ def test_numbers_are_those_of_a_whole_mesh_with_its_near_cells_first(sliced):
             assert np.array_equal(getattr(near, name), getattr(whole, name)[:count])
     assert np.array_equal(slices.points, whole.points[slices.nodes.numbers])
     assert np.array_equal(slices.cells, whole.cells[slices.number])
-    found = gathered(near, blocks)
+    found = _gathered(near, blocks)
     if COMM.rank == 0:
         _assert_same(found, replace(whole, near=-1))
 
@@ -117,6 +126,8 @@ def test_checks_on_near_cells_are_those_on_all(sliced):
     _assert_same(gather(scene, near, wells), gather(scene, whole, wells))
     _assert_same(pre_run_checks(scene, near, wells), pre_run_checks(scene, whole, wells))
     _assert_same(*(fault_ends(scene, mesh, np.zeros(0, dtype=int)) for mesh in (near, whole)))
+    for rock in range(len(whole.rocks)):
+        assert np.array_equal(blocks_with(near, rock), blocks_with(whole, rock))
     for tied in (np.zeros((0, 2), dtype=np.int64), np.array([whole.side_facets[0]])):
         (part, piece), (asked, of_nodes) = parts(near, tied), parts(whole, tied)
         assert np.array_equal(part, asked) and np.array_equal(piece, of_nodes[: len(piece)])
@@ -251,7 +262,7 @@ def test_walls_are_merged_on_pieces_as_in_a_whole_mesh(sliced):
     assert np.array_equal(slices.origin, without.origin[slices.nodes.numbers])
     assert np.array_equal(slices.cells, without.cells[slices.number])
     same = distribute_slices(found, slices, rigid)
-    again = gathered(with_sums_of_cells(found, same), same)
+    again = _gathered(with_sums_of_cells(found, same), same)
     if COMM.rank == 0:
         assert len(without.joint_bottom) < len(whole.joint_bottom) or not len(whole.fractures)
         _assert_same(again, replace(without, near=-1))
