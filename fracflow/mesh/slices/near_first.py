@@ -19,7 +19,7 @@ from fracflow.storage.sealed import AGAIN
 
 @dataclass(frozen=True)
 class Slices:
-    """Cells, joints and sides of this rank and a slab of nodes, in numbers by which the near ones come first.
+    """Cells, joints and sides of this rank and a range of nodes, in numbers by which the near ones come first.
 
     nodes      who keeps which numbers of nodes
     total      how many cells there are
@@ -28,9 +28,9 @@ class Slices:
     cells      (m, c) their nodes, -1 pads
     cell_rock  (m,) of each
     middle     (m, dim) mean of the corners; of a cell at a joint, the middle of the joint [length]
-    points     (s, dim) of the nodes of the slab [length]
+    points     (s, dim) of the nodes of the range [length]
     origin     (s,) of each
-    facets     joints and sides of its slabs, all of them on near cells
+    facets     joints and sides of its ranges, all of them on near cells
     """
 
     nodes: Directory
@@ -82,7 +82,7 @@ def with_near_first(raw: Raw, places: Floats, rocks: Collection[int]) -> tuple[S
 
 
 def _near_cells(raw: Raw, places: Floats, rocks: Collection[int]) -> Bools:
-    """Which cells (m,) of this rank's slab are near. Collective."""
+    """Which cells (m,) of this rank's range are near. Collective."""
     rows = raw.facets.rows
     named = [each for each in rows.named_points.values() if raw.nodes.comm.rank == 0]
     low, high, farthest = _extremes(raw)
@@ -158,7 +158,7 @@ def at_joints(middle: Floats, number: Ints, near: int, nodes: Directory, points:
     """Let the middles (m, dim) of cells at a joint be that of the joint; of a cell at several the first counts. Collective.
 
     number  (m,) of each cell here, of which the first ``near`` may be at joints
-    points  (s, dim) of the nodes of the slab [length]
+    points  (s, dim) of the nodes of the range [length]
     """
     rows, joints, of_cells = facets.rows, facets.joints, Directory(nodes.comm, near)
     first = of_cells.lowest(rows.joint_cells.ravel(), np.repeat(joints.numbers, 2), joints.total)

@@ -1,4 +1,4 @@
-"""From a saved mesh to a slab of each of its arrays on every rank, which opens the file and reads its own rows.
+"""From a saved mesh to a range of rows of each of its arrays on every rank, which opens the file and reads its own rows.
 
 HDF5 lets any number of processes read a file at once: none needs MPI for it, and no rank passes rows on. A seal tells whether
 all have opened the same file.
@@ -58,7 +58,7 @@ def slices_of(path: Path, root: str | None = None) -> SavedMesh | None:
 
 @dataclass(frozen=True)
 class Facets:
-    """Joints, sides and flow nodes of this rank's slabs.
+    """Joints, sides and flow nodes of this rank's ranges.
 
     joints, sides, flow  who keeps which numbers of each
     rows                 a mesh with those of this rank, and without a node or a cell; it has the names of all
@@ -105,14 +105,14 @@ class Raw:
     saved          where it was read from
     cells          who keeps which numbers of cells
     nodes          the same of nodes
-    cell           (m, c) nodes of the cells of this rank's slab, -1 pads
+    cell           (m, c) nodes of the cells of this rank's range, -1 pads
     rock           (m,) of each
-    points         (s, dim) of the nodes of its slab [length]
+    points         (s, dim) of the nodes of its range [length]
     origin         (s,) of each
     corner         (u,) nodes of its cells, ascending
     local          (m, c) places of the cells' nodes among these, -1 pads
     corner_points  (u, dim) [length]
-    facets         joints and sides of its slabs
+    facets         joints and sides of its ranges
     """
 
     saved: SavedMesh
@@ -132,18 +132,18 @@ def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
     """Read a saved mesh of plane rock. Raises InputError, on every rank. Collective."""
     file = on_each(comm, lambda: _opened(saved))
     _refuse_others(comm, file)
-    slabs = {name: Directory(comm, shape[0]) for name, (_, shape) in file.layout.items()}
-    found = on_each(comm, lambda: {name: file.rows(name, slabs[name].first, slabs[name].last) for name in ARRAYS})
+    ranges = {name: Directory(comm, shape[0]) for name, (_, shape) in file.layout.items()}
+    found = on_each(comm, lambda: {name: file.rows(name, ranges[name].first, ranges[name].last) for name in ARRAYS})
     if comm.rank:  # rank 0 reads other files
         end_reading()
     of_facets: dict[str, Any] = {name: found[name] for name in ARRAYS if name not in SLICED}
     rows = replace(file.names, **of_facets)
-    cells, nodes, cell = slabs["cells"], slabs["points"], found["cells"]
+    cells, nodes, cell = ranges["cells"], ranges["points"], found["cells"]
     corner = np.unique(cell)
     corner = corner[np.searchsorted(corner, 0) :]
     local = np.where(cell >= 0, np.searchsorted(corner, cell), -1)
     corner_points = nodes.look_up(found["points"], corner)
-    facets = Facets(slabs["joint_bottom"], slabs["side_facets"], slabs["flow_origin"], rows)
+    facets = Facets(ranges["joint_bottom"], ranges["side_facets"], ranges["flow_origin"], rows)
     raw = Raw(saved, cells, nodes, cell, found["cell_rock"], found["points"], found["origin"], corner, local,
         corner_points, facets)  # fmt: skip
     return _checked(raw)

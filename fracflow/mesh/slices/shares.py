@@ -1,7 +1,7 @@
 """From slices to the blocks of every rank, as ``mesh.distribute`` makes them of a mesh that rank 0 has.
 
 Cells go to ranks by where they are, and joints and sides go with theirs. Who else has a node, and which piece it is of, is
-known where the slab with it is.
+known where its number is kept.
 """
 
 from __future__ import annotations
@@ -115,12 +115,12 @@ def _with_flow_of(mesh: SplitMesh | None, slices: Slices) -> Facets:
         return facets
     flow, joints = Directory(comm, count), np.empty_like(facets.rows.joint_flow)
     origin = np.empty(flow.last - flow.first, dtype=np.int64)
-    for directory, slab, values in (
+    for directory, kept, values in (
         (flow, origin, None if mesh is None else mesh.flow_origin),
         (facets.joints, joints, None if mesh is None else mesh.joint_flow),
     ):
-        values = slab[:0] if values is None else values
-        directory.put(slab, np.arange(len(values)), values)
+        values = kept[:0] if values is None else values
+        directory.put(kept, np.arange(len(values)), values)
     return replace(facets, flow=flow, rows=replace(facets.rows, joint_flow=joints, flow_origin=origin))
 
 
