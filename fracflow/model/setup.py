@@ -30,6 +30,7 @@ from fracflow.mesh.locate import (
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.read import GROWTH, SPLIT, GeometrySpec, build_mesh, build_unmeshed, read_mesh
+from fracflow.mesh.slices.beside import CellsBeside
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.mesh.store import load_split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -99,6 +100,7 @@ class Model:
     sides    whether they are; None of a scene that does not let the program choose
     of_event  whether an event has meshed the rock; ``unmeshed`` are the joints alone that the run began with, on rank 0
     whole    the model with the fractures that are ``locked``; None where none is
+    beside   the cells of this model at joints of those
     slow     stages auto, by their numbers, that take the place of dynamic ones
     """
 
@@ -110,6 +112,7 @@ class Model:
     stated: Scene
     whole: Model | None = None
     locked: tuple[str, ...] = ()
+    beside: CellsBeside | None = None
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
     bounded: Scene | None = None
     sides: FarSides | None = None

@@ -8,6 +8,7 @@ from math import inf
 
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.elements import facet, joint
 from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
@@ -16,6 +17,7 @@ from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.slices.beside import CellsBeside
 from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
@@ -57,7 +59,8 @@ def _largest(model: Model, values: Floats, count: int) -> Floats:
     found = np.full(count, -inf)
     joints = model.operators.blocks.joints
     np.maximum.at(found, np.repeat(joints.fracture, model.operators.joints.points), values)
-    return np.max(model.operators.layout.comm.allgather(found), axis=0)
+    model.operators.layout.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
+    return found
 
 
 def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
@@ -173,7 +176,9 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
         kept = Whole.of(merged, comm)
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, kept, cell_rank), whole=model, locked=names, sides=model.sides)
+    found = prepare(model.scene, comm, kept, cell_rank)
+    beside = CellsBeside.of(mesh, ops.blocks, np.flatnonzero(chosen), found.operators.blocks)
+    return replace(found, whole=model, locked=names, beside=beside, sides=model.sides)
 
 
 def watch_locked(model: Model, state: State) -> None:
@@ -181,15 +186,15 @@ def watch_locked(model: Model, state: State) -> None:
 
     Collective.
     """
-    whole = model.whole
-    if whole is None:
+    whole, beside = model.whole, model.beside
+    if whole is None or beside is None:
         return
-    blocks, joints = whole.operators.blocks, whole.operators.joints
-    added = _added(model, state)  # (f, side, dim)
-    names = blocks.joints.fractures
-    found = np.zeros(len(names))
+    joints, names = whole.operators.joints, whole.operators.blocks.joints.fractures
+    gained, found = _tractions(whole, beside, _gained(model, state, beside)), np.zeros(len(names))
+    added = np.zeros((len(whole.operators.blocks.joints.ids), 2))
     for side in (0, 1):
-        here = np.repeat(added[blocks.joints.ids, side], joints.points, axis=0)
+        added[beside.joints] = gained[:, side]
+        here = np.repeat(added, joints.points, axis=0)
         found = np.maximum(found, _largest(whole, use_of_strength(whole, here), len(names)))
     found[~np.isin(np.array(names), model.locked)] = 0.0
     if found.max() > USE:
@@ -197,42 +202,26 @@ def watch_locked(model: Model, state: State) -> None:
         raise ReductionInvalid(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
 
 
-def _added(model: Model, state: State) -> Floats:
-    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. Collective."""
-    comm = model.operators.blocks.comm
-    mesh = model.whole.mesh if model.whole is not None else None
-    out = None if mesh is None else np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
-    gained = _gained(model, state, comm.bcast(None if mesh is None else mesh.joint_cells[out].ravel()))
-    return np.asarray(comm.bcast(None if mesh is None or out is None else _tractions(model, mesh, out, gained)))
-
-
-def _gained(model: Model, state: State, cells: Ints) -> Floats:
-    """Increase of stresses (n, 4) of cells (n,), each of which one rank has; on rank 0, else zero. Collective."""
-    block, comm = model.operators.blocks.solid, model.operators.blocks.comm
+def _gained(model: Model, state: State, beside: CellsBeside) -> Floats:
+    """Increase of stresses (k, 2, 4) of the cells below and above locked joints of this rank. Collective."""
+    block, cells = model.operators.blocks.solid, beside.cells
     moved = model.operators.at_nodes(state.motion.displacement)
-    own = np.flatnonzero(np.isin(cells, block.cell_ids))
-    here = np.searchsorted(block.cell_ids, cells[own])
-    found, total = np.zeros((len(cells), 4)), np.zeros((len(cells), 4))
-    found[own] = stress_change(
-        strain(block.points, block.cells[here], moved), *elastic_moduli(block, model.scene, here)
-    )
-    comm.Reduce(found, total, root=0)
-    return total
+    strains = strain(block.points, block.cells[cells], moved)
+    return beside.back(stress_change(strains, *elastic_moduli(block, model.scene, cells)))
 
 
-def _tractions(model: Model, mesh: SplitMesh, out: Ints, stresses: Floats) -> Floats:
-    """Tractions (f, side, dim) of stresses (2 n, 4) on both sides of the joints ``out`` (n,); on rank 0.
+def _tractions(whole: Model, beside: CellsBeside, stresses: Floats) -> Floats:
+    """Tractions (k, 2, dim) of stresses (k, 2, 4) on both sides of the locked joints of this rank. Collective.
 
     A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
     """
-    gained, scene = tensors(stresses)[:, :2, :2], model.scene
-    frame, _ = facet.frame(mesh.points[mesh.joint_bottom[out]])
-    traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(len(out), 2, 2)
-    if scene.has_flow:
-        group = groups(mesh)[mesh.joint_fracture[out]]
-        pressed = np.zeros(group.max(initial=-1) + 1)
-        np.maximum.at(pressed, group, -traction[:, :, -1].min(axis=1))
-        traction[:, :, -1] += pressed[group, None]
-    result = np.zeros((len(mesh.joint_flow), *traction.shape[1:]))
-    result[out] = traction
-    return result
+    blocks, count = whole.operators.blocks, len(beside.joints)
+    gained = tensors(stresses.reshape(-1, 4))[:, :2, :2]
+    frame, _ = facet.frame(blocks.solid.points[blocks.joints.bottom[beside.joints]])
+    traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(count, 2, 2)
+    if whole.scene.has_flow:
+        pressed = np.zeros(beside.groups)
+        np.maximum.at(pressed, beside.group, -traction[:, :, -1].min(axis=1))
+        blocks.comm.Allreduce(MPI.IN_PLACE, pressed, MPI.MAX)
+        traction[:, :, -1] += pressed[beside.group, None]
+    return traction
