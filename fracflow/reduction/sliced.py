@@ -91,7 +91,7 @@ class InFile:
         return distributed(scene, on_root(comm, lambda: near and _made_ready(scene, near, saved)), slices)
 
     def partition(self, arrays: SealedFile | None) -> Ints | None:
-        """None: ranks find the same one again."""
+        """None in place of the ranks (cells,), which are found again."""
         return None
 
 
@@ -108,7 +108,7 @@ class InPieces:
         return distributed(scene, self.near, self.slices)
 
     def partition(self, arrays: SealedFile | None) -> Ints | None:
-        """None: ranks find the same one again."""
+        """None in place of the ranks (cells,), which are found again."""
         return None
 
 

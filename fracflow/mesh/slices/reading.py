@@ -1,6 +1,6 @@
 """From a saved mesh to a range of rows of each of its arrays on every rank, which opens the file and reads its own rows.
 
-HDF5 lets any number of processes read a file at once: none needs MPI for it, and no rank passes rows on. A seal tells whether
+HDF5 lets any number of processes read a file at once: none needs MPI for it, and no rank passes rows on. The seal shows whether
 all have opened the same file.
 """
 
@@ -167,7 +167,7 @@ def _refuse_others(comm: MPI.Comm, file: SlicedFile) -> None:
 
 
 def _checked(raw: Raw) -> Raw:
-    """What was read, where another scene can take it. Raises InputError, on every rank. Collective."""
+    """The part that was read, of a mesh that a scene can take. Raises InputError, on every rank. Collective."""
     nodes, rows, comm = raw.nodes, raw.facets.rows, raw.nodes.comm
     copies = raw.origin[raw.origin != nodes.numbers]
     is_wrong = bool((nodes.look_up(raw.origin, copies) != copies).any())
