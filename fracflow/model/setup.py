@@ -6,7 +6,7 @@ from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from fracflow.mesh.locate import (
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.read import GROWTH, SPLIT, GeometrySpec, build_mesh, build_unmeshed, read_mesh
-from fracflow.mesh.slices.beside import CellsBeside
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.mesh.store import load_split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -43,6 +42,9 @@ from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
+
+if TYPE_CHECKING:
+    from fracflow.mesh.slices.beside import CellsBeside
 
 
 @dataclass(frozen=True)

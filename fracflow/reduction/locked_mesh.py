@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,6 @@ from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.slices.beside import CellsBeside
-from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
@@ -31,6 +30,9 @@ from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choo
 from fracflow.reduction.prepare import prepare
 from fracflow.reduction.sliced import InPieces, Kept, Whole
 from fracflow.reduction.unloaded_blocks import named_nodes
+
+if TYPE_CHECKING:
+    from fracflow.mesh.slices.beside import CellsBeside
 
 MOST = 1e7  # distances between fractures: some seconds
 PRESSED = 1e-12  # of the natural pressure: the least that a wall is pressed by when its strength is asked for
@@ -166,6 +168,9 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
+    from fracflow.mesh.slices.beside import CellsBeside  # few runs need it
+    from fracflow.mesh.slices.merging import merged_slices
+
     comm, ops = model.operators.layout.comm, model.operators
     mesh, chosen = model.mesh, np.isin(np.array(ops.blocks.joints.fractures), names)
     kept: Kept
