@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
 from fracflow.mesh.agreement import on_root
-from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import outer_besides
-from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.slices.gathering import gathered
+from fracflow.mesh.places import place_text
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
@@ -218,23 +216,27 @@ def _nodes_of(ops: Operators, bad: np.ndarray) -> Ints:
 def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
     """Outer curves without a name, and a place on them, where given unknowns of this rank lie on any. Collective."""
     block, comm, joints = model.operators.blocks.solid, model.operators.blocks.comm, model.operators.blocks.joints
-    nodes = _nodes_of(model.operators, bad)
-    named = np.concatenate([facets.ravel() for facets in (block.side_facets, joints.bottom, joints.top)])
-    there = block.points[np.setdiff1d(nodes, named)[:1]]
-    spots = np.concatenate(comm.allgather(there))
-
-    known_mesh = gathered(model.mesh, model.operators.blocks) if len(spots) else None
+    named = [block.side_facets, joints.bottom, joints.top]
+    nodes = np.setdiff1d(_nodes_of(model.operators, bad), np.concatenate([facets.ravel() for facets in named]))
+    spots = np.concatenate(comm.allgather(block.points[nodes[:1]]))
+    is_on = np.zeros(len(block.points) + 1, dtype=bool)  # the last is padding
+    for spot in spots:
+        is_on[:-1] |= (block.points == spot).all(axis=1)
+    numbers = np.append(block.node_ids, -1)
+    cells, *known = (numbers[each[is_on[each].any(axis=1)]] for each in (block.cells, *named))
+    here = is_on[:-1]
+    around = comm.gather((cells, np.concatenate(known), block.node_ids[here], block.points[here]), root=0)
+    ends = np.concatenate([block.points.min(axis=0, initial=np.inf), -block.points.max(axis=0, initial=-np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
+    extent = float((-ends[len(ends) // 2 :] - ends[: len(ends) // 2]).max())
 
     def unnamed() -> tuple[str, ...]:
-        if known_mesh is None:
+        if around is None or not len(spots):
             return ()
-        mesh = whole_mesh(known_mesh)  # of a scene that is refused, once
-        known = np.concatenate([mesh.side_facets, mesh.joint_bottom, mesh.joint_top])
-        outer = mesh.points[outer_besides(mesh.cells, known)].reshape(-1, spots.shape[1])
+        cells, known, node, points = (np.concatenate(each) for each in zip(*around, strict=True))
+        outer = points[np.isin(node, outer_besides(cells, known))]  # a facet at a place has all of its cells here
         on = spots[(spots[:, None] == outer).all(axis=2).any(axis=1)]
-        return tuple(
-            f"outer curves without a name, as at {place_text(at, extent_of(mesh.points))}" for at in on[:1, :2]
-        )
+        return tuple(f"outer curves without a name, as at {place_text(at, extent)}" for at in on[:1, :2])
 
     found: tuple[str, ...] = comm.bcast(on_root(comm, unnamed), root=0)
     return found

@@ -16,6 +16,13 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
     return on_first(comm, 1, work)
 
 
+def on_each(comm: MPI.Comm, work: Callable[[], Result]) -> Result:
+    """Do ``work`` on every rank; the first of their errors is raised on all as above. Collective."""
+    found: list[Result] = []
+    on_first(comm, comm.size, lambda: found.append(work()))
+    return found[0]
+
+
 def on_first(comm: MPI.Comm, ranks: int, work: Callable[[], Result]) -> Result | None:
     """Do ``work`` on the first ranks, so many; the first of their errors is raised on every rank as above. Collective."""
     result: Result | None = None

@@ -50,6 +50,7 @@ class CellSums:
     piece       (n,) block of rock of each node on near cells: what no joint cuts
     piece_area  (p,) of each block [length**2]
     piece_rock  (p,) index into the rocks
+    has_rock    (r, p) whether each block has cells of each rock
     rock_area   (r,) of each rock [length**2]
     blunt       share of cells with a corner over 150 degrees
     """
@@ -58,6 +59,7 @@ class CellSums:
     piece: Ints
     piece_area: Floats
     piece_rock: Ints
+    has_rock: Bools
     rock_area: Floats
     blunt: float
 

@@ -250,22 +250,29 @@ def joined_ends(mesh: SplitMesh, ends: Ints) -> SplitMesh:
     return replace(mesh, joint_flow=compact[number[mesh.joint_flow]], flow_origin=mesh.flow_origin[kept])
 
 
+def merged_nodes(mesh: SplitMesh, chosen: Bools) -> tuple[Ints, Bools]:
+    """Node (n,) of ``merged_faces`` that each node becomes, and whether (n,) it is the one that stays for it."""
+    is_shut = np.zeros(len(mesh.points), dtype=bool)
+    is_shut[mesh.flow_origin[mesh.joint_flow[chosen[mesh.joint_fracture]]]] = True
+    same = np.arange(len(mesh.points))
+    one = np.where(is_shut[mesh.origin], mesh.origin, same)  # of all copies the first one
+    return (np.cumsum(one == same) - 1)[one], one == same
+
+
 def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     """The mesh, before its cells are cut, as if there were none of the fractures chosen (f,), which share no node with others.
 
     Cells keep their numbers, and nodes their order; copies, joints, flow nodes and fractures are numbered anew.
     """
-    stays = ~chosen[mesh.joint_fracture]
-    is_shut = np.zeros(len(mesh.points), dtype=bool)
-    is_shut[mesh.flow_origin[mesh.joint_flow[~stays]]] = True
-    same = np.arange(len(mesh.points))
-    one = np.where(is_shut[mesh.origin], mesh.origin, same)  # of all copies the first one
-    node, flow = (np.cumsum(kept) - 1 for kept in (one == same, ~is_shut[mesh.flow_origin]))
-    renamed = node[one]
+    out = chosen[mesh.joint_fracture]
+    stays, (renamed, kept) = ~out, merged_nodes(mesh, chosen)
+    is_open = np.ones(len(mesh.flow_origin), dtype=bool)
+    is_open[mesh.joint_flow[out]] = False
+    flow = np.cumsum(is_open) - 1
     return replace(
         mesh,
-        points=mesh.points[one == same],
-        origin=renamed[mesh.origin[one == same]],
+        points=mesh.points[kept],
+        origin=renamed[mesh.origin[kept]],
         cells=np.where(mesh.cells >= 0, renamed[mesh.cells], -1),
         joint_bottom=renamed[mesh.joint_bottom[stays]],
         joint_top=renamed[mesh.joint_top[stays]],
@@ -273,8 +280,8 @@ def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
         joint_flow=flow[mesh.joint_flow[stays]],
         joint_fracture=(np.cumsum(~chosen) - 1)[mesh.joint_fracture[stays]],
         joint_along=mesh.joint_along[stays],
-        fractures=tuple(name for name, out in zip(mesh.fractures, chosen, strict=True) if not out),
-        flow_origin=renamed[mesh.flow_origin[~is_shut[mesh.flow_origin]]],
+        fractures=tuple(name for name, is_out in zip(mesh.fractures, chosen, strict=True) if not is_out),
+        flow_origin=renamed[mesh.flow_origin[is_open]],
         side_facets=renamed[mesh.side_facets],
         named_points={name: int(renamed[node]) for name, node in mesh.named_points.items()},
     )

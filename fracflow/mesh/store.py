@@ -17,7 +17,7 @@ from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import SplitMesh, is_unmeshed
 from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
-from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, read_sealed, write_sealed
+from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, read_sealed, slabs_of, write_sealed
 
 _NO_MESH = "is no saved mesh"
 WRITE_ONE = "write one with: fracflow mesh SCENE -o NAME.h5"
@@ -30,6 +30,10 @@ _REALS = ("points", "joint_along")
 _PARTS = tuple(field.name for field in fields(SplitMesh) if field.name not in ("coarse", "sums"))
 SLICED = ("points", "origin", "cells", "cell_rock")
 """Parts as long as the mesh has cells or nodes. All others are of joints and sides, or names."""
+ARRAYS = (
+    *SLICED, "joint_bottom", "joint_top", "joint_cells", "joint_flow", "joint_fracture", "joint_along", "flow_origin",
+    "side_facets", "side_cell", "side_of",
+)  # fmt: skip
 
 
 def save_mesh(mesh: SplitMesh, path: Path, sliced: Mapping[str, Slabs] | None = None) -> str:
@@ -59,7 +63,7 @@ def load_split(path: Path) -> SplitMesh:
     mesh = _read(path, WRITE_ONE)
     if is_unmeshed(mesh.cells) or mesh.points.shape[1] != 2:
         raise no_plane_rock(path)
-    refuse_joined_ends(mesh, path)
+    refuse_joined_ends(len(mesh.flow_origin), len(np.unique(mesh.origin[mesh.joint_bottom])), path)
     return replace(mesh, cuts=0, near=-1)
 
 
@@ -68,46 +72,49 @@ def no_plane_rock(path: Path) -> InputError:
     return InputError(f"{path}: is no mesh of plane rock; {WRITE_ONE}")
 
 
-def refuse_joined_ends(mesh: SplitMesh, path: Path) -> None:
-    """Raise InputError where wells have made several ends of fractures one flow node."""
-    if len(mesh.flow_origin) < len(np.unique(mesh.origin[mesh.joint_bottom])):
+def refuse_joined_ends(flow_nodes: int, ends: int, path: Path) -> None:
+    """Raise InputError where wells have made several ends of fractures, so many that joints have, one flow node."""
+    if flow_nodes < ends:
         raise InputError(f"{path}: a well has joined ends of fractures in it; {WRITE_ONE}")
 
 
 class SlicedFile:
-    """A saved mesh whose cells and nodes are read by slabs; all else is read at once, and checked.
+    """A saved mesh whose arrays are read by rows; names and shapes are read at once, and checked.
 
-    tables  the mesh without a cell or a node; its numbers are those of the file
-    layout  types and shapes of the parts SLICED
+    names   the mesh without a row of any array
+    root    of its seal, empty where an earlier version left none
+    layout  types and shapes of its arrays
     """
 
     def __init__(self, path: Path, root: str, remedy: str) -> None:
         """With the ``root`` of its seal where that is known. Raises InputError."""
         self.path, self._remedy = path, remedy
         self._file = SealedFile(path, _NO_MESH, remedy, root)
-        others = [name for name in _PARTS if name not in SLICED]
-        found = read_sealed(path, _NO_MESH, others, remedy, self._file.place[1])
+        self.root = self._file.place[1]
         with self._refusing():
-            self.layout = {name: self._file.layout[name] for name in SLICED}
-            parts: dict[str, Any] = {name: _part(found.arrays, found.notes, name) for name in others}
-            parts |= {name: np.zeros((0, *shape[1:]), kind) for name, (kind, shape) in self.layout.items()}
-            self.tables = SplitMesh(**parts)
-            lengths = self.layout["points"][1], self.layout["cells"][1]
-            _check_names(self.tables, *lengths)
-            self._bounds = _bounds(self.tables, *lengths)
-            for name, (shape, below) in self._bounds.items():
-                if name in SLICED:
-                    _check_shape(name, self.layout[name][1], shape)
-                else:
-                    _check_values(name, getattr(self.tables, name), shape, below)
+            self.layout = {name: self._file.layout[name] for name in ARRAYS}
+            parts: dict[str, Any] = {
+                name: np.zeros((0, *shape[1:]), kind) for name, (kind, shape) in self.layout.items()
+            }
+            parts |= {name: _part({}, self._file.notes, name) for name in _PARTS if name not in ARRAYS}
+            self.names = SplitMesh(**parts)
+            shapes = {name: shape for name, (_, shape) in self.layout.items()}
+            _check_names(self.names, shapes["points"], shapes["cells"])
+            self._bounds = _bounds(self.names, shapes)
+            for name, (shape, _) in self._bounds.items():
+                _check_shape(name, shapes[name], shape)
 
     def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
-        """Rows (n, ...) of a part, of whole pieces, as they were sealed, in numbers of 8 bytes. Raises InputError."""
-        values = self._file.rows(name, first, last)
-        with self._refusing():
-            shape, below = self._bounds[name]
-            _check_values(name, values, (last - first, *shape[1:]), below)
-        return values.astype(np.float64 if name in _REALS else np.int64, copy=False)
+        """Rows (n, ...) of an array as they were sealed, in numbers of 8 bytes. Raises InputError."""
+        kind, shape = self.layout[name]
+        found = np.empty((last - first, *shape[1:]), dtype=np.float64 if name in _REALS else np.int64)
+        for start, end in slabs_of(np.dtype(kind), shape, first, last):
+            values, (_, below) = self._file.rows(name, start, end), self._bounds[name]
+            with self._refusing():
+                _check_values(name, values, (end - start, *shape[1:]), below)
+            low, high = max(first, start), min(last, end)
+            found[low - first : high - first] = values[low - start : high - start]
+        return found
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
@@ -172,9 +179,9 @@ def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: st
 
 def _check(mesh: SplitMesh) -> None:
     """Raise ValueError for parts that point to what there is not; others may have made the file."""
-    lengths = np.shape(mesh.points), np.shape(mesh.cells)
-    _check_names(mesh, *lengths)
-    for name, (shape, below) in _bounds(mesh, *lengths).items():
+    shapes = {name: np.shape(getattr(mesh, name)) for name in ARRAYS}
+    _check_names(mesh, shapes["points"], shapes["cells"])
+    for name, (shape, below) in _bounds(mesh, shapes).items():
         _check_values(name, getattr(mesh, name), shape, below)
     if not has_near_first(mesh):
         raise ValueError(NOT_FIRST)
@@ -198,14 +205,12 @@ def _check_names(mesh: SplitMesh, points: Shape, cells: Shape) -> None:
         raise ValueError("named_points has numbers of no nodes")
 
 
-def _bounds(mesh: SplitMesh, points: Shape, cells: Shape) -> dict[str, tuple[Shape, int]]:
-    """Shape of each array of a mesh with points and cells of these shapes, and what each of its numbers is below."""
-    nodes, dim = points
+def _bounds(mesh: SplitMesh, shapes: Mapping[str, Shape]) -> dict[str, tuple[Shape, int]]:
+    """Shape that each array of a mesh with these ``shapes`` must have, and what each of its numbers is below."""
+    (nodes, dim), cells, joint = shapes["points"], shapes["cells"], shapes["joint_bottom"]
     count, columns = cells[0] if cells else 0, cells[1] if len(cells) == 2 else 0
-    joints, flows, facets = (
-        len(np.atleast_1d(table)) for table in (mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
-    )
-    width = 2 if dim == 2 or np.ndim(mesh.joint_bottom) != 2 else max(3, min(mesh.joint_bottom.shape[1], 4))
+    joints, flows, facets = ((shapes[name] or (1,))[0] for name in ("joint_bottom", "flow_origin", "side_facets"))
+    width = 2 if dim == 2 or len(joint) != 2 else max(3, min(joint[1], 4))
     return {
         "points": ((nodes, dim), 0),
         "origin": ((nodes,), nodes),

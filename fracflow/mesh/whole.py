@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.graph import components
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.mesh.plane.quality import cell_areas, worst_cells
 
 
@@ -22,10 +22,18 @@ def block_areas(mesh: SplitMesh) -> tuple[Ints, Floats]:
     if mesh.sums is not None:
         return mesh.sums.piece[mesh.cells[:, 0]], mesh.sums.piece_area
     uncut, parent = mesh.uncut, np.arange(len(mesh.cells)) // mesh.children
-    first = uncut.cells[:, 0]
-    cell, corner = np.nonzero(uncut.cells[:, 1:] >= 0)
-    block = components(first[cell], uncut.cells[cell, 1 + corner], len(uncut.points))[first]
+    block = pieces_of_rock(uncut)[0][uncut.cells[:, 0]]
     return block[parent], _sums(block, _areas(uncut))
+
+
+def blocks_with(mesh: SplitMesh, rock: int) -> Bools:
+    """Which blocks of rock (b,) have cells of a rock by its number; of a mesh whose cells ranks have, those of all ranks."""
+    if mesh.sums is not None:
+        return mesh.sums.has_rock[rock]
+    piece, rocks, _ = pieces_of_rock(mesh)
+    found = np.zeros(len(rocks), dtype=bool)
+    found[piece[mesh.cells[mesh.cell_rock == rock, 0]]] = True
+    return found
 
 
 def share_of_blunt(mesh: SplitMesh) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,9 @@ from fracflow.remarks import note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
+
+if TYPE_CHECKING:
+    from fracflow.mesh.slices.beside import CellsBeside
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ class Model:
     sides    whether they are; None of a scene that does not let the program choose
     of_event  whether an event has meshed the rock; ``unmeshed`` are the joints alone that the run began with, on rank 0
     whole    the model with the fractures that are ``locked``; None where none is
+    beside   the cells of this model at joints of those
     slow     stages auto, by their numbers, that take the place of dynamic ones
     """
 
@@ -110,6 +114,7 @@ class Model:
     stated: Scene
     whole: Model | None = None
     locked: tuple[str, ...] = ()
+    beside: CellsBeside | None = None
     slow: Mapping[int, SlowLoads] = field(default_factory=dict)
     bounded: Scene | None = None
     sides: FarSides | None = None
@@ -191,6 +196,11 @@ def places_of(scene: Scene, mesh: SplitMesh) -> tuple[Floats, set[str]]:
         name for term in scene.terms for name in term.on
     }
     return np.array(places).reshape(-1, mesh.points.shape[1]), held
+
+
+def fractures_of(scene: Scene) -> set[str]:
+    """Names of fractures whose joints ``places_of`` needs."""
+    return {probe.at.fracture for probe in scene.probe if isinstance(probe.at, (FractureEnd, AlongFracture))}
 
 
 def fitting(scene: Scene, mesh: SplitMesh) -> SplitMesh:

@@ -25,7 +25,7 @@ from fracflow.model.setup import FarSides, Model
 from fracflow.model.state import State
 from fracflow.reduction.decision import Decision, ReductionInput, tolerance_of
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
-from fracflow.reduction.sliced import Kept, has_no_cells
+from fracflow.reduction.sliced import Kept
 from fracflow.remarks import note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
@@ -256,10 +256,10 @@ def without_sides(scene: Scene) -> Scene:
 
 
 def is_left_out(found: FarSides | None, saved: Kept | None, undone: Mapping[str, str]) -> bool:
-    """Whether sides are left out, on rank 0; the mesh of a run that goes on says so, as long as that is not undone."""
+    """Whether sides are left out; the mesh of a run that goes on says so, as long as that is not undone."""
     if found is None or found.why or PART in undone:
         return False
-    return saved is None or has_no_cells(saved)
+    return saved is None or not saved.has_cells
 
 
 def decide_sides(facts: ReductionInput) -> Iterator[Decision]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.elements import facet, joint
 from fracflow.errors import ReductionInvalid
 from fracflow.laws import JOINT_LAWS
@@ -16,7 +18,6 @@ from fracflow.laws.elastic import p_wave_modulus, plane_strain_modulus
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import near_mesh
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.slices.gathering import gathered
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
@@ -27,7 +28,11 @@ from fracflow.model.stress import deforms, elastic_moduli, strain, stress_change
 from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
+from fracflow.reduction.sliced import InPieces, Kept, Whole
 from fracflow.reduction.unloaded_blocks import named_nodes
+
+if TYPE_CHECKING:
+    from fracflow.mesh.slices.beside import CellsBeside
 
 MOST = 1e7  # distances between fractures: some seconds
 PRESSED = 1e-12  # of the natural pressure: the least that a wall is pressed by when its strength is asked for
@@ -56,7 +61,8 @@ def _largest(model: Model, values: Floats, count: int) -> Floats:
     found = np.full(count, -inf)
     joints = model.operators.blocks.joints
     np.maximum.at(found, np.repeat(joints.fracture, model.operators.joints.points), values)
-    return np.max(model.operators.layout.comm.allgather(found), axis=0)
+    model.operators.layout.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
+    return found
 
 
 def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
@@ -162,12 +168,22 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
+    from fracflow.mesh.slices.beside import CellsBeside  # few runs need it
+    from fracflow.mesh.slices.merging import merged_slices
+
     comm, ops = model.operators.layout.comm, model.operators
-    whole = gathered(model.mesh, ops.blocks)
-    mesh = on_root(comm, lambda: None if whole is None else near_mesh(merged_faces(whole.uncut, _chosen(whole, names))))
+    mesh, chosen = model.mesh, np.isin(np.array(ops.blocks.joints.fractures), names)
+    kept: Kept
+    if comm.bcast(mesh is not None and mesh.sums is not None, root=0):
+        kept, cell_rank = InPieces(*merged_slices(mesh, ops.blocks, chosen)), None
+    else:
+        merged = on_root(comm, lambda: None if mesh is None else near_mesh(merged_faces(mesh.uncut, chosen)))
+        kept = Whole.of(merged, comm)
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names, sides=model.sides)
+    found = prepare(model.scene, comm, kept, cell_rank)
+    beside = CellsBeside.of(mesh, ops.blocks, np.flatnonzero(chosen), found.operators.blocks)
+    return replace(found, whole=model, locked=names, beside=beside, sides=model.sides)
 
 
 def watch_locked(model: Model, state: State) -> None:
@@ -175,15 +191,15 @@ def watch_locked(model: Model, state: State) -> None:
 
     Collective.
     """
-    whole = model.whole
-    if whole is None:
+    whole, beside = model.whole, model.beside
+    if whole is None or beside is None:
         return
-    blocks, joints = whole.operators.blocks, whole.operators.joints
-    added = _added(model, state)  # (f, side, dim)
-    names = blocks.joints.fractures
-    found = np.zeros(len(names))
+    joints, names = whole.operators.joints, whole.operators.blocks.joints.fractures
+    gained, found = _tractions(whole, beside, _gained(model, state, beside)), np.zeros(len(names))
+    added = np.zeros((len(whole.operators.blocks.joints.ids), 2))
     for side in (0, 1):
-        here = np.repeat(added[blocks.joints.ids, side], joints.points, axis=0)
+        added[beside.joints] = gained[:, side]
+        here = np.repeat(added, joints.points, axis=0)
         found = np.maximum(found, _largest(whole, use_of_strength(whole, here), len(names)))
     found[~np.isin(np.array(names), model.locked)] = 0.0
     if found.max() > USE:
@@ -191,42 +207,26 @@ def watch_locked(model: Model, state: State) -> None:
         raise ReductionInvalid(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
 
 
-def _added(model: Model, state: State) -> Floats:
-    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. Collective."""
-    comm = model.operators.blocks.comm
-    mesh = model.whole.mesh if model.whole is not None else None
-    out = None if mesh is None else np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
-    gained = _gained(model, state, comm.bcast(None if mesh is None else mesh.joint_cells[out].ravel()))
-    return np.asarray(comm.bcast(None if mesh is None or out is None else _tractions(model, mesh, out, gained)))
-
-
-def _gained(model: Model, state: State, cells: Ints) -> Floats:
-    """Increase of stresses (n, 4) of cells (n,), each of which one rank has; on rank 0, else zero. Collective."""
-    block, comm = model.operators.blocks.solid, model.operators.blocks.comm
+def _gained(model: Model, state: State, beside: CellsBeside) -> Floats:
+    """Increase of stresses (k, 2, 4) of the cells below and above locked joints of this rank. Collective."""
+    block, cells = model.operators.blocks.solid, beside.cells
     moved = model.operators.at_nodes(state.motion.displacement)
-    own = np.flatnonzero(np.isin(cells, block.cell_ids))
-    here = np.searchsorted(block.cell_ids, cells[own])
-    found, total = np.zeros((len(cells), 4)), np.zeros((len(cells), 4))
-    found[own] = stress_change(
-        strain(block.points, block.cells[here], moved), *elastic_moduli(block, model.scene, here)
-    )
-    comm.Reduce(found, total, root=0)
-    return total
+    strains = strain(block.points, block.cells[cells], moved)
+    return beside.back(stress_change(strains, *elastic_moduli(block, model.scene, cells)))
 
 
-def _tractions(model: Model, mesh: SplitMesh, out: Ints, stresses: Floats) -> Floats:
-    """Tractions (f, side, dim) of stresses (2 n, 4) on both sides of the joints ``out`` (n,); on rank 0.
+def _tractions(whole: Model, beside: CellsBeside, stresses: Floats) -> Floats:
+    """Tractions (k, 2, dim) of stresses (k, 2, 4) on both sides of the locked joints of this rank. Collective.
 
     A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
     """
-    gained, scene = tensors(stresses)[:, :2, :2], model.scene
-    frame, _ = facet.frame(mesh.points[mesh.joint_bottom[out]])
-    traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(len(out), 2, 2)
-    if scene.has_flow:
-        group = groups(mesh)[mesh.joint_fracture[out]]
-        pressed = np.zeros(group.max(initial=-1) + 1)
-        np.maximum.at(pressed, group, -traction[:, :, -1].min(axis=1))
-        traction[:, :, -1] += pressed[group, None]
-    result = np.zeros((len(mesh.joint_flow), *traction.shape[1:]))
-    result[out] = traction
-    return result
+    blocks, count = whole.operators.blocks, len(beside.joints)
+    gained = tensors(stresses.reshape(-1, 4))[:, :2, :2]
+    frame, _ = facet.frame(blocks.solid.points[blocks.joints.bottom[beside.joints]])
+    traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(count, 2, 2)
+    if whole.scene.has_flow:
+        pressed = np.zeros(beside.groups)
+        np.maximum.at(pressed, beside.group, -traction[:, :, -1].min(axis=1))
+        blocks.comm.Allreduce(MPI.IN_PLACE, pressed, MPI.MAX)
+        traction[:, :, -1] += pressed[beside.group, None]
+    return traction

@@ -12,10 +12,10 @@ from fracflow.mesh.agreement import on_root
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.rock_cells import RockCells
-from fracflow.model.setup import Model, Placed, fitting, made_ready, naming, place, read_sized, set_up, split_of
+from fracflow.model.setup import Model, made_ready, naming, place, read_sized, set_up, split_of
 from fracflow.reduction.far_sides import assessed, is_left_out, near_sides, without_sides
 from fracflow.reduction.mesh_size import proposed
-from fracflow.reduction.sliced import Kept, has_no_cells, in_slices, whole_of
+from fracflow.reduction.sliced import Kept, taken
 from fracflow.reduction.unresolved import unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults
@@ -73,16 +73,17 @@ def prepare(
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
-    saved, cell_rank  mesh and ranks (cells,) of an earlier run, on rank 0, as of ``set_up``
-    begins            whether the run begins, and notes list the lengths that its mesh does not resolve
-    undone            decisions that an earlier try of the same run has undone
+    saved      mesh of an earlier run, or one that was made of it
+    cell_rank  its ranks (cells,), on rank 0, as of ``set_up``
+    begins     whether the run begins, and notes list the lengths that its mesh does not resolve
+    undone     decisions that an earlier try of the same run has undone
     """
     with naming(scene):
         PETSc.garbage_cleanup(comm)  # models of earlier runs: on several ranks petsc4py only sets them aside
         set_defaults(scene.petsc)
         sides = assessed(scene)
         if not comm.bcast(on_root(comm, lambda: is_left_out(sides, saved, undone)), root=0):
-            saved = saved if saved is None or has_no_cells(saved) == scene.is_unbounded else None
+            saved = saved if saved is None or saved.has_cells != scene.is_unbounded else None
             return _with_note(replace(_prepare(scene, comm, saved, cell_rank, begins), sides=sides))
         model = _prepare(without_sides(scene), comm, saved, cell_rank, begins)
         return _with_note(replace(model, sides=sides, bounded=scene))
@@ -99,16 +100,9 @@ def _with_note(model: Model) -> Model:
     return replace(model, placed=replace(model.placed, notes=notes))
 
 
-def _on_root(scene: Scene, comm: MPI.Comm, saved: Kept | None) -> tuple[SplitMesh | None, Placed, None]:
-    """The mesh, on rank 0, and the scene's places. Raises InputError, on every rank. Collective."""
-    mesh = on_root(comm, lambda: fitting(scene, whole_of(saved)) if saved else read_sized(scene))
-    placed: Placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
-    return mesh, placed, None
-
-
 def _prepare(scene: Scene, comm: MPI.Comm, saved: Kept | None, cell_rank: Ints | None, begins: bool) -> Model:
     scene = with_sizes(scene, comm)
-    mesh, placed, blocks = in_slices(scene, comm, saved) or _on_root(scene, comm, saved)
+    mesh, placed, blocks = taken(scene, comm, saved)
     wells = placed.wells
     apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
     model = set_up(scene, comm, mesh, replace(placed, apart=tuple(apart)), cell_rank, blocks)

@@ -1,66 +1,153 @@
-"""A scene whose saved mesh no rank has whole: which scenes that are, and their near cells and blocks."""
+"""Where a model takes its mesh from: a file that ranks read in slices, or a mesh that rank 0 has whole."""
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 from fracflow._petsc import MPI
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
+from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.read import SPLIT
 from fracflow.mesh.slabs import Distributed
 from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
-from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
+from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import Model, Placed, made_ready, place, places_of
+from fracflow.model.setup import Model, Placed, fitting, fractures_of, made_ready, place, places_of, read_sized
 from fracflow.scene.scene import Scene
+from fracflow.storage.sealed import SealedFile
 
-Kept = SplitMesh | SavedMesh
-"""The mesh of a run that goes on, or the file that ranks take it from in slices."""
+if TYPE_CHECKING:
+    from fracflow.mesh.slices.near_first import Slices
 
-
-def kept_mesh(path: Path, root: str = "") -> Kept:
-    """The mesh of a run folder, with the ``root`` of its seal where that is known, on one rank. Raises InputError."""
-    return slices_of(path, root) or load_mesh(path, root)
-
-
-def whole_of(kept: Kept) -> SplitMesh:
-    """That mesh as one rank has it. Raises InputError."""
-    return load_mesh(kept.path, kept.root) if isinstance(kept, SavedMesh) else kept
+Taken = tuple[SplitMesh | None, Placed, Blocks | None]
+"""The mesh on rank 0, with its near cells alone where ranks have blocks already; the scene's places; and those blocks."""
 
 
-def has_no_cells(kept: Kept) -> bool:
-    """Whether it is of rock that is not meshed."""
-    return not isinstance(kept, SavedMesh) and is_unmeshed(kept.cells)
+class Kept(Protocol):
+    """A mesh that a model is made on, on every rank."""
+
+    @property
+    def has_cells(self) -> bool:
+        """Whether it is of rock that is meshed."""
+
+    def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
+        """The mesh with the places of a scene. Raises InputError, on every rank. Collective."""
+
+    def partition(self, arrays: SealedFile | None) -> Ints | None:
+        """Rank (cells,) of each cell before cells are cut, as a run recorded it, on rank 0; None where ranks find it again."""
 
 
-def in_slices(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> tuple[SplitMesh | None, Placed, Blocks] | None:
-    """Near cells on rank 0, places and blocks of a scene whose mesh comes in slices; None where rank 0 takes it all.
+@dataclass(frozen=True)
+class Whole:
+    """A mesh that rank 0 has whole, or of which it has the near cells where ranks cut it. It is None on other ranks."""
 
-    kept  the mesh of a run that goes on, on rank 0
+    mesh: SplitMesh | None
+    has_cells: bool
+
+    @classmethod
+    def of(cls, mesh: SplitMesh | None, comm: MPI.Comm) -> Whole:
+        """That of a mesh on rank 0. Collective."""
+        return cls(mesh, comm.bcast(mesh is not None and not is_unmeshed(mesh.cells), root=0))
+
+    def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
+        """The mesh with the places of a scene. Raises InputError, on every rank. Collective."""
+        return _on_root(scene, comm, self.mesh)
+
+    def partition(self, arrays: SealedFile | None) -> Ints | None:
+        """Rank (cells,) of each cell before cells are cut, as a run recorded it, on rank 0."""
+        return None if arrays is None or self.mesh is None else arrays.each("cell_rank", self.mesh.children)
+
+
+@dataclass(frozen=True)
+class InFile:
+    """A file that ranks take slices of."""
+
+    saved: SavedMesh
+    has_cells: bool = True
+
+    def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
+        """Near cells on rank 0, places and blocks; as ``Whole`` where places lie in other cells than those near in the file.
+
+        Raises InputError, on every rank. Collective.
+        """
+        from fracflow.mesh.slices.near_first import with_near_first  # few runs need it
+
+        saved = self.saved
+        raw = read(comm, saved)
+        names = raw.facets.rows
+        scene.check_mesh_names(names.rocks, names.fractures, names.sides, tuple(names.named_points))
+        frame = frame_of(raw, fractures_of(scene))
+        asked = comm.bcast(on_root(comm, lambda: None if frame is None else places_of(scene, frame)), root=0)
+        assert asked is not None
+        places, rocks = asked
+        found = with_near_first(raw, places, [number for number, name in enumerate(names.rocks) if name in rocks])
+        del raw  # which is as large as the slices
+        if found is None:
+            return _on_root(scene, comm, on_root(comm, lambda: load_mesh(saved.path, saved.root)))
+        near, slices = found
+        return distributed(scene, on_root(comm, lambda: near and _made_ready(scene, near, saved)), slices)
+
+    def partition(self, arrays: SealedFile | None) -> Ints | None:
+        """None in place of the ranks (cells,), which are found again."""
+        return None
+
+
+@dataclass(frozen=True)
+class InPieces:
+    """Slices that ranks have made of others, and the near cells on rank 0; None elsewhere."""
+
+    near: SplitMesh | None
+    slices: Slices
+    has_cells: bool = True
+
+    def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
+        """Near cells on rank 0, places and blocks. Raises InputError, on every rank. Collective."""
+        return distributed(scene, self.near, self.slices)
+
+    def partition(self, arrays: SealedFile | None) -> Ints | None:
+        """None in place of the ranks (cells,), which are found again."""
+        return None
+
+
+def kept_mesh(comm: MPI.Comm, path: Path, root: str = "") -> Kept:
+    """The mesh of a run folder, with the ``root`` of its seal where that is known.
 
     Raises InputError, on every rank. Collective.
     """
-    saved = comm.bcast(on_root(comm, lambda: _saved(scene, kept)), root=0)
-    if saved is None:
-        return None
-    from fracflow.mesh.slices.near_first import with_near_first  # few runs need it
-    from fracflow.mesh.slices.shares import distribute_slices
+    saved = comm.bcast(on_root(comm, lambda: slices_of(path, root)), root=0)
+    return InFile(saved) if saved is not None else Whole.of(on_root(comm, lambda: load_mesh(path, root)), comm)
 
-    raw = read(comm, saved)
-    asked = comm.bcast(on_root(comm, partial(_asked, scene, raw.frame)), root=0)
-    found = with_near_first(raw, *asked)
-    del raw  # which is as large as the slices
-    if found is None:
-        return None
-    near, slices = found
-    mesh = on_root(comm, lambda: near if near is None or saved.near >= 0 else made_ready(scene, near))
-    placed: Placed = comm.bcast(on_root(comm, lambda: None if mesh is None else place(scene, mesh)), root=0)
+
+def taken(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> Taken:
+    """The mesh of a scene, or the one ``kept`` of it, with its places. Raises InputError, on every rank. Collective."""
+    if kept is None and (saved := comm.bcast(on_root(comm, lambda: _saved(scene)), root=0)) is not None:
+        kept = InFile(saved)
+    return _on_root(scene, comm) if kept is None else kept.taken(scene, comm)
+
+
+def distributed(scene: Scene, near: SplitMesh | None, slices: Slices) -> Taken:
+    """The blocks of slices, with near cells and places. Raises InputError, on every rank. Collective."""
+    from fracflow.mesh.slices.shares import distribute_slices  # few runs need it
+
+    comm = slices.comm
+    placed: Placed = comm.bcast(on_root(comm, lambda: None if near is None else place(scene, near)), root=0)
     rigid = [name for name, rock in scene.rock.items() if rock.rigid]
-    blocks = distribute_slices(mesh, slices, rigid, placed.ties)
-    return with_sums_of_cells(mesh, blocks), placed, blocks
+    blocks = distribute_slices(near, slices, rigid, placed.ties)
+    return with_sums_of_cells(near, blocks), placed, blocks
+
+
+def _on_root(scene: Scene, comm: MPI.Comm, kept: SplitMesh | None = None) -> Taken:
+    """The mesh, on rank 0, and the scene's places. Raises InputError, on every rank. Collective."""
+    mesh = on_root(comm, lambda: fitting(scene, kept) if kept is not None else read_sized(scene))
+    placed: Placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+    return mesh, placed, None
+
+
+def _made_ready(scene: Scene, near: SplitMesh, saved: SavedMesh) -> SplitMesh:
+    return near if saved.near >= 0 else made_ready(scene, near)
 
 
 def kept_parts(model: Model) -> dict[str, Distributed]:
@@ -74,19 +161,9 @@ def kept_parts(model: Model) -> dict[str, Distributed]:
     return sliced_parts(blocks) if has_sums else {}
 
 
-def _saved(scene: Scene, kept: Kept | None) -> SavedMesh | None:
+def _saved(scene: Scene) -> SavedMesh | None:
     """The file that ranks take slices of, if they do. Raises InputError."""
-    if kept is not None:
-        return kept if isinstance(kept, SavedMesh) else None
     path = scene.mesh_path
     if path is None or path.suffix != SPLIT or scene.refine:  # cells that ranks cut come to them few and large
         return None
     return slices_of(path)
-
-
-def _asked(scene: Scene, frame: SplitMesh | None) -> tuple[Floats, list[int]]:
-    """Places (p, dim) whose cells are near, and the numbers of rocks of which all are. Raises InputError."""
-    assert frame is not None
-    scene.check_mesh_names(frame.rocks, frame.fractures, frame.sides, tuple(frame.named_points))
-    places, rocks = places_of(scene, frame)
-    return places, [number for number, name in enumerate(frame.rocks) if name in rocks]

@@ -13,6 +13,7 @@ from fracflow.mesh.data import Bools, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
+from fracflow.mesh.whole import blocks_with
 from fracflow.model.dirichlet import PrescribedValues, own
 from fracflow.model.setup import Model
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
@@ -58,7 +59,9 @@ def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
         return none, UnloadedBlocks(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):
-        loaded[part[named_nodes(model, mesh, name)]] = True
+        loaded[part[named_nodes(model, mesh, name, with_rocks=False)]] = True
+        if name in mesh.rocks:
+            loaded[part_of[blocks_with(mesh, mesh.rocks.index(name))]] = True
     flow = np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)
     driven = (scene.drains(name) or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
     held = [scene.has_flow and each for each in driven]
@@ -86,12 +89,12 @@ def parts(mesh: SplitMesh, tied: Ints) -> tuple[Ints, Ints]:
     return components(piece[one], piece[other], count), piece
 
 
-def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
-    """Nodes (n,) of a side, a rock or a point; a name may be of several."""
+def named_nodes(model: Model, mesh: SplitMesh, name: str, with_rocks: bool = True) -> np.ndarray:
+    """Nodes (n,) of a side, a point or, ``with_rocks``, a rock, of which rank 0 must have all; a name may be of several."""
     chosen = [np.zeros(0, dtype=np.int64)]
     if name in mesh.sides:
         chosen.append(mesh.side_facets[mesh.side_of == mesh.sides.index(name)].ravel())
-    if name in mesh.rocks:
+    if with_rocks and name in mesh.rocks:
         cells = mesh.cells[mesh.cell_rock == mesh.rocks.index(name)]
         chosen.append(cells[cells >= 0])
     if name in model.placed.points:

@@ -16,7 +16,6 @@ from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
 from fracflow.errors import DiskError, InputError, Interrupted, OtherRock, ReductionInvalid, SolveError, is_alone
 from fracflow.mesh.agreement import on_root
-from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model
@@ -29,7 +28,7 @@ from fracflow.reduction.apply import planned
 from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
-from fracflow.reduction.sliced import Kept, kept_mesh
+from fracflow.reduction.sliced import Kept, Whole, kept_mesh
 from fracflow.remarks import marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
@@ -43,7 +42,7 @@ from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import set_defaults
 from fracflow.solve.rock_cost import rock_choice
-from fracflow.storage.sealed import AGAIN, SealedFile
+from fracflow.storage.sealed import AGAIN
 
 OnStep = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
@@ -70,7 +69,7 @@ def run(
     """
     undone: dict[str, str] = {}
     while True:
-        mesh = on_root(comm, lambda: kept_mesh(Path(folder) / "mesh.h5")) if undone else None
+        mesh = kept_mesh(comm, Path(folder) / "mesh.h5") if undone else None
         callbacks = (show, say) if not undone else (None, None)
         try:
             return _go(_begun(scene, folder, comm, undone, mesh, *callbacks), progress)
@@ -145,6 +144,8 @@ def resume(
     on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
     undone: dict[str, str] = {}
+    mesh: Kept | None
+    ready: _Begun | None
     if comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
         notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
         with restoring(saved):
@@ -153,11 +154,12 @@ def resume(
             return totals
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
-        mesh = on_root(comm, lambda: kept_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+        mesh = began_on = kept_mesh(comm, folder / "mesh.h5", notes["seals"].get("mesh", ""))
         event_seal = notes["seals"].get("event_mesh", "")
         is_meshed = notes.get("meshed", bool(event_seal))  # earlier versions never left the mesh of an event
         event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if is_meshed else None)
-        cell_rank = on_root(comm, lambda: _partition(arrays, event_mesh or mesh) if is_as_before else None)
+        parted = Whole.of(event_mesh, comm) if is_meshed else began_on
+        cell_rank = on_root(comm, lambda: parted.partition(arrays) if is_as_before else None)
         first_rank = None if is_meshed else cell_rank
         model = prepare(scene, comm, mesh, first_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
@@ -183,20 +185,13 @@ def resume(
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
-        mesh, ready = on_root(comm, lambda: kept_mesh(path) if path.exists() else None), None
+        is_there = comm.bcast(on_root(comm, path.exists), root=0)
+        mesh, ready = kept_mesh(comm, path) if is_there else None, None
     while True:
         try:
             return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
         except ReductionInvalid as needed:
             undone, ready = {**undone, **needed.undone}, None
-
-
-def _partition(arrays: SealedFile | None, mesh: Kept | None) -> Ints | None:
-    """Rank (cells,) of each cell of a mesh before its cells are cut, as a run recorded it, on rank 0; else None.
-
-    Ranks that take slices find the same again.
-    """
-    return arrays.each("cell_rank", mesh.children) if arrays is not None and isinstance(mesh, SplitMesh) else None
 
 
 def has_ended(folder: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, is_unmeshed
@@ -89,6 +89,16 @@ def _summed(rows: Ints, cols: Ints, values: Floats, shape: tuple[int, int]) -> A
         return sparse.csr_matrix((values, (rows, cols)), shape=shape)
     total = np.zeros(shape)
     np.add.at(total, (rows, cols), values)
+    return total
+
+
+def _total(stiffness: Any, comm: MPI.Comm) -> Any:
+    """The sum (m, m) of what ranks have, bit for bit the same on all of them. Collective."""
+    if not isinstance(stiffness, np.ndarray):
+        return sum(comm.allgather(stiffness))  # with the blocks beside its own joints, each
+    total = np.zeros_like(stiffness)
+    comm.Reduce(np.ascontiguousarray(stiffness), total, MPI.SUM, root=0)
+    comm.Bcast(total, root=0)
     return total
 
 
@@ -179,7 +189,7 @@ class Floating:
             row = np.repeat(np.arange(len(motion)), motion.shape[1])
             matrix = _summed(row, motion.ravel(), value.ravel(), (len(motion), 3 * groups))
             stiffness = stiffness + matrix.T @ matrix
-        return self._of_blocks(null_motions(sum(comm.allgather(stiffness))), frames, group)
+        return self._of_blocks(null_motions(_total(stiffness, comm)), frames, group)
 
     def _joint_rows(self, carried: np.ndarray, frames: Frames, group: Ints) -> Rows:
         section, component = np.nonzero(carried)

@@ -73,11 +73,19 @@ def piece_rows(kind: str, shape: Sequence[int]) -> int:
     return max(1, PIECE // max(1, np.dtype(kind).itemsize * int(np.prod(shape[1:], dtype=np.int64))))
 
 
-def slabs_of(kind: np.dtype[Any], shape: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """First row of each slab of an array, and the row after its last: whole pieces, SLAB bytes where a piece is not more."""
-    rows = piece_rows(kind.str, shape) * (SLAB // PIECE)
-    for first in range(0, shape[0], rows):
-        yield first, min(first + rows, shape[0])
+def slabs_of(
+    kind: np.dtype[Any], shape: Sequence[int], first: int = 0, last: int | None = None
+) -> Iterator[tuple[int, int]]:
+    """First row of each slab of an array, and the row after its last: whole pieces, SLAB bytes where a piece is not more.
+
+    first, last  rows that the slabs have to hold, from the first to the one before the last; all without any
+    """
+    piece, last = piece_rows(kind.str, shape), shape[0] if last is None else last
+    if first >= last:
+        return
+    rows, end = piece * (SLAB // PIECE), min(-(-last // piece) * piece, shape[0])
+    for start in range(first // piece * piece, end, rows):
+        yield start, min(start + rows, end)
 
 
 class _Pieces:

@@ -1,4 +1,4 @@
-"""Time and memory of each part of a large run: large.py [CELLS...] [--refine N] [--saved] [--ranks N...] [--ways WAY...].
+"""Time and memory of each part of a large run: [CELLS...] [--fractures N] [--refine N] [--saved] [--ranks N...] [--ways W...].
 
 The network of _network.py, meshed by Gmsh with so many triangles, which the ranks cut N times in four. Explicit steps of a
 network that begins to slide between absorbing sides are stopped half way and resumed. One quasi-static step with sliding is
@@ -53,12 +53,12 @@ METHODS = {
 PARTS = {
     "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "reduction.sliced:load_mesh"],
     "places and checks": [
-        "reduction.prepare:place",
+        "reduction.sliced:place",
         "reduction.prepare:unresolved",
         "reduction.prepare:unconnected_wells",
         "simulation.files:pre_run_checks",
     ],
-    "distribution": ["model.setup:distribute", "reduction.prepare:in_slices"],
+    "distribution": ["model.setup:distribute", "reduction.sliced:InFile.taken"],
     "assembly": ["model.setup:assemble", "model.setup:with_terms", "model.setup:assemble_loads"],
     "initial state": [
         "simulation.run:refuse_imbalance",
@@ -190,6 +190,7 @@ def main() -> None:
     """Measure all, print a line for each part, and write large.json."""
     parser = argparse.ArgumentParser(prog="scripts/bench large", description=__doc__.splitlines()[0])
     parser.add_argument("cells", nargs="*", type=int, default=CELLS, help="numbers of triangles of the coarse mesh")
+    parser.add_argument("--fractures", type=int, default=20, help="how many of them: more make more joints")
     parser.add_argument("--refine", type=int, default=1, help="how often the ranks cut each cell in four")
     parser.add_argument("--saved", action="store_true", help="let ranks read the mesh as fracflow mesh has saved it")
     parser.add_argument("--ranks", type=int, nargs="+", default=RANKS)
@@ -201,14 +202,15 @@ def main() -> None:
     out, rows = given.out.resolve(), []
     out.mkdir(parents=True, exist_ok=True)
     for cells in given.cells:
-        mesh = out / f"network-{cells}.msh"
+        several = "" if given.fractures == 20 else f"-{given.fractures}"
+        mesh = out / f"network-{cells}{several}.msh"
         if not mesh.exists():
-            subprocess.run([sys.executable, network.__file__, str(cells), str(mesh)], check=True)
+            subprocess.run([sys.executable, network.__file__, str(cells), str(mesh), str(given.fractures)], check=True)
         mesh = saved(mesh, cells, out) if given.saved else mesh
         for ranks in given.ranks:
             for way in given.ways:
                 kind = "explicit" if way == "resume" else way
-                scene = out / f"{kind}-{cells}-{given.refine}{mesh.suffix.replace('.', '-')}.toml"
+                scene = out / f"{kind}-{cells}{several}-{given.refine}{mesh.suffix.replace('.', '-')}.toml"
                 scene.write_text(scene_of(kind, mesh, cells, given.refine, given.steps), encoding="utf-8")
                 found = measure(way, scene, ranks, given.steps // 2 + 1 if way == "explicit" else 0, out, given.samples)
                 new = rows_of(way, ranks, found)

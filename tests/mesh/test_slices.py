@@ -17,13 +17,15 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
-from fracflow.mesh.slices.gathering import gathered, sliced_parts, with_sums_of_cells
+from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
+from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.slices.near_first import with_near_first as near_of
-from fracflow.mesh.slices.reading import SavedMesh, read, slices_of
+from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
 from fracflow.mesh.slices.shares import distribute_slices
-from fracflow.mesh.split import split
+from fracflow.mesh.split import groups, merged_faces, split
 from fracflow.mesh.store import load_mesh, load_split, save_mesh
-from fracflow.model.setup import looked_at, place, places_of
+from fracflow.mesh.whole import blocks_with
+from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
 from fracflow.reduction.prepare import read_uncut
 from fracflow.reduction.unloaded_blocks import parts
@@ -54,9 +56,18 @@ def _saved(mesh, path):
 def _sliced(scene, path, near=-1):
     """Near cells, slices and blocks by the slices of a file."""
     raw = read(COMM, SavedMesh(path, near=near))
-    places, rocks = COMM.bcast(places_of(scene, raw.frame) if COMM.rank == 0 else None, root=0)
-    names = COMM.bcast(raw.frame.rocks if COMM.rank == 0 else None, root=0)
+    frame = frame_of(raw, fractures_of(scene))
+    places, rocks = COMM.bcast(places_of(scene, frame) if COMM.rank == 0 else None, root=0)
+    names = raw.facets.rows.rocks
     return near_of(raw, places, [number for number, name in enumerate(names) if name in rocks])
+
+
+def _gathered(near, blocks):
+    """All cells on rank 0, of a mesh of which ranks have them."""
+    found = {
+        name: part.order.whole(part.values[np.arange(part.order.count)]) for name, part in sliced_parts(blocks).items()
+    }
+    return None if near is None else replace(near, **found, near=-1, sums=None)
 
 
 @pytest.fixture(params=NAMES)
@@ -85,7 +96,7 @@ def test_numbers_are_those_of_a_whole_mesh_with_its_near_cells_first(sliced):
             assert np.array_equal(getattr(near, name), getattr(whole, name)[:count])
     assert np.array_equal(slices.points, whole.points[slices.nodes.numbers])
     assert np.array_equal(slices.cells, whole.cells[slices.number])
-    found = gathered(near, blocks)
+    found = _gathered(near, blocks)
     if COMM.rank == 0:
         _assert_same(found, replace(whole, near=-1))
 
@@ -115,6 +126,8 @@ def test_checks_on_near_cells_are_those_on_all(sliced):
     _assert_same(gather(scene, near, wells), gather(scene, whole, wells))
     _assert_same(pre_run_checks(scene, near, wells), pre_run_checks(scene, whole, wells))
     _assert_same(*(fault_ends(scene, mesh, np.zeros(0, dtype=int)) for mesh in (near, whole)))
+    for rock in range(len(whole.rocks)):
+        assert np.array_equal(blocks_with(near, rock), blocks_with(whole, rock))
     for tied in (np.zeros((0, 2), dtype=np.int64), np.array([whole.side_facets[0]])):
         (part, piece), (asked, of_nodes) = parts(near, tied), parts(whole, tied)
         assert np.array_equal(part, asked) and np.array_equal(piece, of_nodes[: len(piece)])
@@ -221,6 +234,38 @@ def test_a_mesh_that_was_changed_is_refused_on_every_rank(shared_tmp):
     COMM.barrier()
     with pytest.raises(InputError, match="points, rows 0 to"):
         read(COMM, SavedMesh(path))
+
+
+@pytest.mark.parametrize(
+    ("there", "says"), [("none.h5", "no such file"), ("other.h5", "another file there than rank 0")]
+)
+def test_a_rank_that_finds_another_file_stops_all(there, says, shared_tmp):
+    whole = split(_grid())
+    _saved(whole, shared_tmp / "kept.h5")
+    _saved(replace(whole, notes=("another",)), shared_tmp / "other.h5")
+    link = shared_tmp / f"{COMM.rank}.h5"
+    is_last = COMM.rank == COMM.size - 1 and (COMM.size > 1 or there == "none.h5")
+    link.symlink_to(there if is_last else "kept.h5")
+    if COMM.size == 1 and there != "none.h5":
+        assert read(COMM, SavedMesh(link)).cells.total == len(whole.cells)
+        return
+    with pytest.raises(InputError, match=says):
+        read(COMM, SavedMesh(link))
+
+
+def test_walls_are_merged_on_pieces_as_in_a_whole_mesh(sliced):
+    _, whole, rigid, near, _, blocks = sliced
+    chosen = groups(whole) == groups(whole)[0] if len(whole.fractures) else np.zeros(0, dtype=bool)
+    without = merged_faces(whole, chosen)
+    found, slices = merged_slices(near, blocks, chosen)
+    assert np.array_equal(slices.points, without.points[slices.nodes.numbers])
+    assert np.array_equal(slices.origin, without.origin[slices.nodes.numbers])
+    assert np.array_equal(slices.cells, without.cells[slices.number])
+    same = distribute_slices(found, slices, rigid)
+    again = _gathered(with_sums_of_cells(found, same), same)
+    if COMM.rank == 0:
+        assert len(without.joint_bottom) < len(whole.joint_bottom) or not len(whole.fractures)
+        _assert_same(again, replace(without, near=-1))
 
 
 @pytest.mark.serial

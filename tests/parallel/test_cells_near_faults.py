@@ -7,6 +7,7 @@ from fracflow._petsc import MPI
 from fracflow.mesh.agreement import on_root
 from fracflow.model.terms.fault_damping import cells_near, damping_at_faults
 from fracflow.reduction.prepare import prepare, read_split
+from fracflow.reduction.sliced import Whole
 from fracflow.scene.scene import load
 
 COMM = MPI.COMM_WORLD
@@ -66,7 +67,7 @@ def power(model, scene):
 
 def test_cells_near_a_fault_that_ranks_cut(scene_and_mesh):
     scene, mesh = scene_and_mesh
-    blocks = prepare(scene, COMM, mesh, in_stripes(mesh)).operators.blocks
+    blocks = prepare(scene, COMM, Whole.of(mesh, COMM), in_stripes(mesh)).operators.blocks
     near = cells_near(blocks, np.ones(len(blocks.joints.bottom), dtype=bool), LAYERS)
     found = np.sort(np.concatenate(COMM.allgather(blocks.solid.cell_ids[near])))
     whole = COMM.bcast(mesh, root=0)
@@ -84,6 +85,6 @@ def test_damping_of_a_fault_that_ranks_cut(scene_and_mesh, shared_tmp, damps):
     scene, mesh = scene_and_mesh
     if damps == "by its pressure":
         scene = load(shared_tmp / "scene.toml", [RISES, "fluid={viscosity=1, specific_weight=1}"])
-    cut = power(prepare(scene, COMM, mesh, in_stripes(mesh)), scene)
-    alone = power(prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0)), scene)
+    cut = power(prepare(scene, COMM, Whole.of(mesh, COMM), in_stripes(mesh)), scene)
+    alone = power(prepare(scene, MPI.COMM_SELF, Whole.of(COMM.bcast(mesh, root=0), MPI.COMM_SELF)), scene)
     assert cut == pytest.approx(alone, rel=1e-12) and alone > 0.0

@@ -11,6 +11,7 @@ from fracflow.model.mass import inverse_mass
 from fracflow.model.network_parts import NetworkComponents, leaving
 from fracflow.model.undrained import change_volume, close, closure_row
 from fracflow.reduction.prepare import prepare, read_split
+from fracflow.reduction.sliced import Whole
 from fracflow.scene.scene import load
 from fracflow.solve.clusters import find_clusters
 
@@ -28,7 +29,9 @@ def models():
     stripes = None
     if mesh is not None:
         stripes = (mesh.points[mesh.cells[:, :3]].mean(axis=1)[:, 0] // STRIPE).astype(int) % COMM.size
-    return prepare(scene, COMM, mesh, stripes), prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0))
+    return prepare(scene, COMM, Whole.of(mesh, COMM), stripes), prepare(
+        scene, MPI.COMM_SELF, Whole.of(COMM.bcast(mesh, root=0), MPI.COMM_SELF)
+    )
 
 
 def conducts(blocks, share):
@@ -106,8 +109,8 @@ def test_clusters_of_sections_are_those_of_one_rank():
     """At a crossing a section couples with two of three others, which may all be of other ranks."""
     scene = load(SCENE.parents[2] / "crossings" / "scene.toml")
     mesh = on_root(COMM, lambda: read_split(scene))
-    whole = clusters_of(prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0)))
+    whole = clusters_of(prepare(scene, MPI.COMM_SELF, Whole.of(COMM.bcast(mesh, root=0), MPI.COMM_SELF)))
     assert whole[:, 2].max() >= 4.0
     for seed in range(2):  # the one cuts a crossing so on three ranks, the other on two
         ranks = None if mesh is None else np.random.default_rng(seed).integers(COMM.size, size=len(mesh.cells))
-        np.testing.assert_allclose(clusters_of(prepare(scene, COMM, mesh, ranks)), whole, rtol=1e-12)
+        np.testing.assert_allclose(clusters_of(prepare(scene, COMM, Whole.of(mesh, COMM), ranks)), whole, rtol=1e-12)

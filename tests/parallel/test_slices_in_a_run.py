@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from test_same_on_ranks import KEPT, SCENES, _settled, assert_agree
 
 from fracflow._petsc import MPI
 from fracflow.cli.mesh import mesh_lines
-from fracflow.errors import Interrupted
-from fracflow.mesh.store import load_mesh
+from fracflow.errors import InputError, Interrupted
+from fracflow.mesh.store import load_mesh, save_mesh
 from fracflow.output import read_events, read_history
 from fracflow.reduction import locked_fractures
 from fracflow.reduction.locked_fractures import PART
@@ -146,6 +147,22 @@ def test_locked_fractures_of_a_mesh_in_slices(use, shared_tmp, comm, in_slices, 
             plan = json.loads((shared_tmp / name / "plan.json").read_text())["decisions"]
             (said,) = (each for each in plan if each["part"] == PART)
             assert said["left_out"] == (use > 0.0) and bool(said.get("undone")) == (use == 0.0)
+
+
+def test_outer_curves_without_a_name_are_found_on_pieces(shared_tmp, comm, in_slices):
+    """The east side of the square carries initial stress, and no facet of it has a name."""
+    path = _kept(Scene.from_data(SEAMS), shared_tmp / "kept.h5", comm)
+    if comm.rank == 0:
+        mesh = load_mesh(path)
+        stays = mesh.side_of != mesh.sides.index("east")
+        sides = {name: getattr(mesh, name)[stays] for name in ("side_facets", "side_cell", "side_of")}
+        save_mesh(replace(mesh, **sides), path)
+    comm.barrier()
+    data = {key: value for key, value in SEAMS.items() if key != "geometry"} | {"mesh": {"file": str(path)}}
+    for is_on in (False, True):
+        in_slices(is_on)
+        with pytest.raises(InputError, match=r"outer curves without a name, as at \(100, [0-9.]+\):"):
+            run(Scene.from_data(data), shared_tmp / "refused", comm)
 
 
 PROGRAM = """

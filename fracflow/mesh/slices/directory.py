@@ -1,4 +1,4 @@
-"""Things that ranks know of by number: each rank keeps a slab of the numbers, and answers for them."""
+"""Things that ranks know of by number: each rank keeps a range of the numbers, and answers for them."""
 
 from __future__ import annotations
 
@@ -45,35 +45,35 @@ class Directory:
     """Numbers below ``total``, of which each rank keeps those from ``first`` to ``last``."""
 
     def __init__(self, comm: MPI.Comm, total: int) -> None:
-        """Slabs are as long as one another, but for one number."""
+        """Ranges are as long as one another, but for one number."""
         self.comm, self.total = comm, total
         self.starts = np.arange(comm.size + 1) * total // comm.size
         self.first, self.last = (int(each) for each in self.starts[comm.rank : comm.rank + 2])
 
     @property
     def numbers(self) -> Ints:
-        """Those of this rank's slab (s,)."""
+        """Those of this rank's range (s,)."""
         return np.arange(self.first, self.last)
 
     def route(self, numbers: Ints) -> Route:
-        """The way to the slabs of numbers (n,). Collective."""
+        """The way to the ranks that keep numbers (n,). Collective."""
         return Route(self.comm, owner_of(self.starts, numbers))
 
-    def look_up(self, slab: Values, numbers: Ints) -> Values:
+    def look_up(self, kept: Values, numbers: Ints) -> Values:
         """Values (n, ...) of numbers (n,), from those (s, ...) that each rank keeps. Collective."""
         route = self.route(numbers)
-        return route.back(slab[route.send(numbers) - self.first])
+        return route.back(kept[route.send(numbers) - self.first])
 
     def lowest(self, numbers: Ints, values: Ints, none: int) -> Ints:
-        """The lowest value (s,) that any rank has for each number of the slab, ``none`` where none has. Collective."""
+        """The lowest value (s,) that any rank has for each number of its range, ``none`` where none has. Collective."""
         route, found = self.route(numbers), np.full(self.last - self.first, none, dtype=np.int64)
         np.minimum.at(found, route.send(numbers) - self.first, route.send(values))
         return found
 
-    def put(self, slab: Values, numbers: Ints, values: Values) -> None:
-        """Let the slabs (s, ...) have values (n, ...) at numbers (n,), each of which one rank has. Collective."""
+    def put(self, kept: Values, numbers: Ints, values: Values) -> None:
+        """Let what ranks keep (s, ...) have values (n, ...) at numbers (n,), each of which one rank has. Collective."""
         route = self.route(numbers)
-        slab[route.send(numbers) - self.first] = route.send(values)
+        kept[route.send(numbers) - self.first] = route.send(values)
 
 
 def _exchanged(comm: MPI.Comm, rows: Values, out: Ints, into: Ints) -> Values:

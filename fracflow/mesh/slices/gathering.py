@@ -1,9 +1,8 @@
-"""From the cells of all ranks to rank 0: sums, the rows of a file by slabs, and the whole mesh where there is no other way."""
+"""From the cells of all ranks to rank 0: sums, and the rows of a file by slabs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -27,10 +26,13 @@ def with_sums_of_cells(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | No
         [float(np.count_nonzero(is_blunt(solid.points, solid.cells)))],
     ])  # fmt: skip
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    has_rock = np.zeros((len(solid.rocks), count), dtype=bool)
+    has_rock[solid.cell_rock, solid.piece[solid.cells[:, 0]]] = True
+    comm.Allreduce(MPI.IN_PLACE, has_rock, MPI.LOR)
     if mesh is None or piece is None:
         return None
     cells = blocks.sizes.cells
-    found = CellSums(cells, piece, sums[:count], solid.piece_rock, sums[count:-1], float(sums[-1]) / cells)
+    found = CellSums(cells, piece, sums[:count], solid.piece_rock, has_rock, sums[count:-1], float(sums[-1]) / cells)
     return replace(mesh, sums=found)
 
 
@@ -67,14 +69,3 @@ class _Numbered:
     def shape(self) -> tuple[int, ...]:
         """That of all rows."""
         return self._cells.shape
-
-
-def gathered(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
-    """A mesh, on rank 0, with all its cells where it has the near ones alone: all of it in the memory of rank 0. Collective."""
-    if not blocks.comm.bcast(mesh is not None and mesh.sums is not None, root=0):
-        return mesh
-    found: dict[str, Any] = {}
-    for name, part in sliced_parts(blocks).items():
-        values = part.values[np.arange(part.order.count)]
-        found[name] = part.order.whole(values)
-    return None if mesh is None else replace(mesh, **found, near=-1, sums=None)

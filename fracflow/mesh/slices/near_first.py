@@ -12,14 +12,14 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.locate import all_covering
 from fracflow.mesh.slices.directory import Directory, Route
-from fracflow.mesh.slices.reading import NONE, Raw, moved
+from fracflow.mesh.slices.reading import NONE, Facets, Raw, moved
 from fracflow.mesh.store import NOT_FIRST
 from fracflow.storage.sealed import AGAIN
 
 
 @dataclass(frozen=True)
 class Slices:
-    """Cells of this rank and a slab of nodes, in numbers by which the near ones come first.
+    """Cells, joints and sides of this rank and a range of nodes, in numbers by which the near ones come first.
 
     nodes      who keeps which numbers of nodes
     total      how many cells there are
@@ -28,8 +28,9 @@ class Slices:
     cells      (m, c) their nodes, -1 pads
     cell_rock  (m,) of each
     middle     (m, dim) mean of the corners; of a cell at a joint, the middle of the joint [length]
-    points     (s, dim) of the nodes of the slab [length]
+    points     (s, dim) of the nodes of the range [length]
     origin     (s,) of each
+    facets     joints and sides of its ranges, all of them on near cells
     """
 
     nodes: Directory
@@ -41,6 +42,7 @@ class Slices:
     middle: Floats
     points: Floats
     origin: Ints
+    facets: Facets
 
     @property
     def comm(self) -> MPI.Comm:
@@ -71,22 +73,24 @@ def with_near_first(raw: Raw, places: Floats, rocks: Collection[int]) -> tuple[S
         stays = np.array_equal(cell, raw.cells.numbers) and np.array_equal(node, raw.nodes.numbers)
         _refuse(raw, not comm.allreduce(stays, op=MPI.LAND))
     slices = _renumbered(raw, cell, near, node)
-    return _near_mesh(raw, slices, cell, node, near_nodes), slices
+    rows, copies = slices.facets.rows, slices.origin[slices.nodes.numbers < near_nodes]
+    of_nodes = (rows.joint_bottom, rows.joint_top, rows.side_facets, rows.flow_origin, copies)
+    is_wrong = any((each >= near_nodes).any() for each in of_nodes)
+    is_wrong = is_wrong or any((each >= near).any() for each in (rows.joint_cells, rows.side_cell))
+    _refuse(raw, comm.allreduce(bool(is_wrong), op=MPI.LOR))
+    return _near_mesh(slices, near_nodes), slices
 
 
 def _near_cells(raw: Raw, places: Floats, rocks: Collection[int]) -> Bools:
-    """Which cells (m,) of this rank's slab are near. Collective."""
-    frame = raw.frame
-    on = [NONE]
-    if frame is not None:
-        named = np.array(list(frame.named_points.values()), dtype=np.int64)
-        on += [raw.frame_node[each.ravel()] for each in (frame.origin[frame.joint_bottom], named)]
-        on += [raw.frame_node[frame.origin[frame.side_facets].ravel()]]
-    low, high, nodes = _extremes(raw)
-    farther = np.concatenate([nodes, *(_covering(raw, place, float((high - low).max())) for place in places)])
-    on += [raw.nodes.look_up(raw.origin, farther[farther >= 0])]
+    """Which cells (m,) of this rank's range are near. Collective."""
+    rows = raw.facets.rows
+    named = [each for each in rows.named_points.values() if raw.nodes.comm.rank == 0]
+    low, high, farthest = _extremes(raw)
+    of_places = [_covering(raw, place, float((high - low).max())) for place in places]
+    on = np.unique(np.concatenate([rows.joint_bottom.ravel(), rows.side_facets.ravel(), farthest, *of_places]))
+    on = raw.nodes.look_up(raw.origin, on[np.searchsorted(on, 0) :])
     flags = np.zeros(len(raw.points), dtype=np.int64)
-    numbers = np.concatenate(on)
+    numbers = np.concatenate([on, np.array(named, dtype=np.int64)])
     raw.nodes.put(flags, numbers, np.ones(len(numbers), dtype=np.int64))
     copies = np.flatnonzero(raw.origin != raw.nodes.numbers)
     of_copies = raw.nodes.look_up(flags, raw.origin[copies])
@@ -134,42 +138,49 @@ def _renumbered(raw: Raw, cell: Ints, near: int, node: Ints) -> Slices:
     nodes, corners = raw.nodes, raw.corner_points[np.where(raw.local >= 0, raw.local, raw.local[:, :1])]
     is_corner = raw.local >= 0
     middle = (corners * is_corner[..., None]).sum(axis=1) / np.maximum(is_corner.sum(axis=1), 1)[:, None]
-    at, where = NONE, np.zeros((0, raw.points.shape[1]))
-    if raw.frame is not None:  # of a cell at several joints the first counts
-        at = raw.frame.joint_cells[::-1].ravel()
-        where = np.repeat(raw.frame.points[raw.frame.joint_bottom].mean(axis=1)[::-1], 2, axis=0)
-    raw.cells.put(middle, at, where)
+    rows = raw.facets.rows
     points, origin = np.empty_like(raw.points), np.empty_like(raw.origin)
     nodes.put(points, node, raw.points)
     nodes.put(origin, node, nodes.look_up(node, raw.origin))
     cells = np.append(nodes.look_up(node, raw.corner), -1)[raw.local]
-    return Slices(nodes, raw.cells.total, near, cell, cells, raw.rock, middle, points, origin)
+    rows = replace(
+        moved(rows, lambda numbers: nodes.look_up(node, numbers)),
+        joint_cells=raw.cells.look_up(cell, rows.joint_cells.ravel()).reshape(-1, 2),
+        side_cell=raw.cells.look_up(cell, rows.side_cell),
+        near=near,
+    )
+    facets = replace(raw.facets, rows=rows)
+    at_joints(middle, cell, near, nodes, points, facets)
+    return Slices(nodes, raw.cells.total, near, cell, cells, raw.rock, middle, points, origin, facets)
 
 
-def _near_mesh(raw: Raw, slices: Slices, cell: Ints, node: Ints, near_nodes: int) -> SplitMesh | None:
-    """The near cells with all joints and sides, on rank 0. Raises InputError where these are on others. Collective."""
-    comm, frame, of_nodes = slices.comm, raw.frame, slices.nodes.numbers
-    rows = np.flatnonzero(slices.number < slices.near)
-    to_first = Route(comm, np.zeros_like(rows))
-    number, cells, rock = (to_first.send(each[rows]) for each in (slices.number, slices.cells, slices.cell_rock))
-    rows = np.flatnonzero(of_nodes < near_nodes)
-    to_first = Route(comm, np.zeros_like(rows))
-    points, origin = to_first.send(slices.points[rows]), to_first.send(slices.origin[rows])
-    nodes = raw.nodes.look_up(node, raw.frame_node)
-    asked = NONE if frame is None else np.concatenate([frame.joint_cells.ravel(), frame.side_cell])
-    of_cells = raw.cells.look_up(cell, asked)
-    is_wrong = bool((nodes >= near_nodes).any() or (of_cells >= slices.near).any() or (origin >= near_nodes).any())
-    _refuse(raw, comm.allreduce(is_wrong, op=MPI.LOR))
-    if frame is None:
+def at_joints(middle: Floats, number: Ints, near: int, nodes: Directory, points: Floats, facets: Facets) -> None:
+    """Let the middles (m, dim) of cells at a joint be that of the joint; of a cell at several the first counts. Collective.
+
+    number  (m,) of each cell here, of which the first ``near`` may be at joints
+    points  (s, dim) of the nodes of the range [length]
+    """
+    rows, joints, of_cells = facets.rows, facets.joints, Directory(nodes.comm, near)
+    first = of_cells.lowest(rows.joint_cells.ravel(), np.repeat(joints.numbers, 2), joints.total)
+    here = np.flatnonzero(number < near)
+    joint = of_cells.look_up(first, number[here])
+    has_any = joint < joints.total
+    where = nodes.look_up(points, rows.joint_bottom.ravel()).reshape(-1, 2, points.shape[1]).mean(axis=1)
+    middle[here[has_any]] = joints.look_up(where, joint[has_any])
+
+
+def _near_mesh(slices: Slices, near_nodes: int) -> SplitMesh | None:
+    """The near cells with all joints and sides, on rank 0. Collective."""
+    comm, of_nodes = slices.comm, slices.nodes.numbers
+    here = np.flatnonzero(slices.number < slices.near)
+    to_first = Route(comm, np.zeros_like(here))
+    number, cells, rock = (to_first.send(each[here]) for each in (slices.number, slices.cells, slices.cell_rock))
+    here = np.flatnonzero(of_nodes < near_nodes)
+    to_first = Route(comm, np.zeros_like(here))
+    points, origin = to_first.send(slices.points[here]), to_first.send(slices.origin[here])
+    facets, order = slices.facets.on_rank_0(), np.argsort(number)
+    if comm.rank:
         return None
-    order, joints = np.argsort(number), frame.joint_cells.size
     return replace(
-        moved(frame, lambda numbers: nodes[numbers]),
-        points=points,
-        origin=origin,
-        cells=cells[order],
-        cell_rock=rock[order],
-        joint_cells=of_cells[:joints].reshape(-1, 2),
-        side_cell=of_cells[joints:],
-        near=slices.near,
+        slices.facets.rows, **facets, points=points, origin=origin, cells=cells[order], cell_rock=rock[order]
     )

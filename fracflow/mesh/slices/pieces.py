@@ -17,7 +17,7 @@ class Pieces:
     """Pieces of a mesh, numbered by their lowest nodes.
 
     roots  lowest node (p,) of each
-    label  (s,) that of the piece of each node of this rank's slab, the number of all nodes where it is on none
+    label  (s,) that of the piece of each node of this rank's range, the number of all nodes where it is on none
     """
 
     nodes: Directory
@@ -31,7 +31,7 @@ class Pieces:
 
 
 def owners(nodes: Directory, node: Ints) -> tuple[Ints, Ints]:
-    """Lowest and highest rank (s,) that has each node of the slab, by the nodes (n,) on the cells of each. Collective."""
+    """Lowest and highest rank (s,) that has each node of the range, by the nodes (n,) on the cells of each. Collective."""
     rank = np.full(len(node), nodes.comm.rank, dtype=np.int64)
     return nodes.lowest(node, rank, nodes.comm.size), -nodes.lowest(node, -rank, 1)
 

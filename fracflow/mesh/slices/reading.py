@@ -1,13 +1,13 @@
-"""From a saved mesh to a slab of cells and one of nodes on each rank; rank 0 reads in turns, and passes on slab by slab.
+"""From a saved mesh to a range of rows of each of its arrays on every rank, which opens the file and reads its own rows.
 
-Joints, sides and names are on rank 0 alone, with the nodes that they are on: there are few beside cells.
+HDF5 lets any number of processes read a file at once: none needs MPI for it, and no rank passes rows on. The seal shows whether
+all have opened the same file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,17 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.mesh.agreement import on_root
-from fracflow.mesh.blocks import owner_of
+from fracflow.mesh.agreement import on_each
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.slices.directory import Directory, Values
-from fracflow.mesh.store import SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
-from fracflow.storage.sealed import AGAIN, slabs_of
+from fracflow.mesh.slices.directory import Directory, Route
+from fracflow.mesh.store import ARRAYS, SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
+from fracflow.storage.reader import end_reading
+from fracflow.storage.sealed import AGAIN
 
 NONE = np.zeros(0, dtype=np.int64)
 FEWEST = 200_000  # cells from which on slices pay: of fewer, all take rank 0 less memory than the start of the program
+OF_JOINTS = ("joint_bottom", "joint_top", "joint_cells", "joint_flow", "joint_fracture", "joint_along")
+OF_SIDES = ("side_facets", "side_cell", "side_of")
 
 
 @dataclass(frozen=True)
@@ -55,21 +57,62 @@ def slices_of(path: Path, root: str | None = None) -> SavedMesh | None:
 
 
 @dataclass(frozen=True)
+class Facets:
+    """Joints, sides and flow nodes of this rank's ranges.
+
+    joints, sides, flow  who keeps which numbers of each
+    rows                 a mesh with those of this rank, and without a node or a cell; it has the names of all
+    """
+
+    joints: Directory
+    sides: Directory
+    flow: Directory
+    rows: SplitMesh
+
+    @classmethod
+    def from_rank_0(cls, comm: MPI.Comm, mesh: SplitMesh | None) -> Facets:
+        """Those of a mesh that rank 0 has. Collective."""
+        empty = None if mesh is None else replace(mesh, **{name: getattr(mesh, name)[:0] for name in ARRAYS})
+        names: SplitMesh = comm.bcast(empty, root=0)
+        found: dict[str, Any] = {}
+        parts = []
+        for group in (OF_JOINTS, OF_SIDES, ("flow_origin",)):
+            count = comm.bcast(None if mesh is None else len(getattr(mesh, group[0])), root=0)
+            directory = Directory(comm, count)
+            for name in group:
+                kept = getattr(names, name)
+                values = kept if mesh is None else getattr(mesh, name)
+                found[name] = np.empty((directory.last - directory.first, *kept.shape[1:]), dtype=kept.dtype)
+                directory.put(found[name], np.arange(len(values)), values)
+            parts.append(directory)
+        joints, sides, flow = parts
+        return cls(joints, sides, flow, replace(names, **found))
+
+    def on_rank_0(self) -> dict[str, Any]:
+        """The arrays of all ranks (n, ...), by name, on rank 0; on others without a row. Collective."""
+        parts = [(self.joints, OF_JOINTS), (self.sides, OF_SIDES), (self.flow, ("flow_origin",))]
+        found: dict[str, Any] = {}
+        for directory, names in parts:
+            to_first = Route(directory.comm, np.zeros_like(directory.numbers))
+            found |= {name: to_first.send(getattr(self.rows, name)) for name in names}
+        return found
+
+
+@dataclass(frozen=True)
 class Raw:
     """The part of a mesh that a rank has read, in the numbers of the file.
 
     saved          where it was read from
     cells          who keeps which numbers of cells
     nodes          the same of nodes
-    cell           (m, c) nodes of the cells of this rank's slab, -1 pads
+    cell           (m, c) nodes of the cells of this rank's range, -1 pads
     rock           (m,) of each
-    points         (s, dim) of the nodes of its slab [length]
+    points         (s, dim) of the nodes of its range [length]
     origin         (s,) of each
     corner         (u,) nodes of its cells, ascending
     local          (m, c) places of the cells' nodes among these, -1 pads
     corner_points  (u, dim) [length]
-    frame          on rank 0, a mesh without cells: joints, sides and places, on the nodes that these need
-    frame_node     (f,) their numbers, ascending; none on other ranks. Numbers of cells are those of the file
+    facets         joints and sides of its ranges
     """
 
     saved: SavedMesh
@@ -82,34 +125,28 @@ class Raw:
     corner: Ints
     local: Ints
     corner_points: Floats
-    frame: SplitMesh | None
-    frame_node: Ints
+    facets: Facets
 
 
 def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
     """Read a saved mesh of plane rock. Raises InputError, on every rank. Collective."""
-    file = on_root(comm, lambda: _opened(saved))
-    layout = comm.bcast(None if file is None else file.layout, root=0)
-    found = {name: _slab(comm, file, name, *layout[name]) for name in SLICED}
-    cells, nodes = Directory(comm, layout["cells"][1][0]), Directory(comm, layout["points"][1][0])
-    cell = found["cells"]
+    file = on_each(comm, lambda: _opened(saved))
+    _refuse_others(comm, file)
+    ranges = {name: Directory(comm, shape[0]) for name, (_, shape) in file.layout.items()}
+    found = on_each(comm, lambda: {name: file.rows(name, ranges[name].first, ranges[name].last) for name in ARRAYS})
+    if comm.rank:  # rank 0 reads other files
+        end_reading()
+    of_facets: dict[str, Any] = {name: found[name] for name in ARRAYS if name not in SLICED}
+    rows = replace(file.names, **of_facets)
+    cells, nodes, cell = ranges["cells"], ranges["points"], found["cells"]
     corner = np.unique(cell)
     corner = corner[np.searchsorted(corner, 0) :]
     local = np.where(cell >= 0, np.searchsorted(corner, cell), -1)
-    tables = None if file is None else file.tables
-    asked = NONE if tables is None else _nodes_of(tables)
-    origin = nodes.look_up(found["origin"], asked)
-    frame_node = np.union1d(asked, origin)
-    frame_points, frame_origin = (nodes.look_up(found[name], frame_node) for name in ("points", "origin"))
-
-    def framed() -> SplitMesh:
-        assert tables is not None
-        return _frame(saved, tables, frame_node, frame_points, frame_origin)
-
-    frame = on_root(comm, framed)
     corner_points = nodes.look_up(found["points"], corner)
-    return Raw(saved, cells, nodes, cell, found["cell_rock"], found["points"], found["origin"], corner, local,
-        corner_points, frame, frame_node)  # fmt: skip
+    facets = Facets(ranges["joint_bottom"], ranges["side_facets"], ranges["flow_origin"], rows)
+    raw = Raw(saved, cells, nodes, cell, found["cell_rock"], found["points"], found["origin"], corner, local,
+        corner_points, facets)  # fmt: skip
+    return _checked(raw)
 
 
 def _opened(saved: SavedMesh) -> SlicedFile:
@@ -119,55 +156,64 @@ def _opened(saved: SavedMesh) -> SlicedFile:
     return file
 
 
-def _rows(file: SlicedFile | None, name: str, first: int, last: int) -> Values:
-    assert file is not None
-    return file.rows(name, first, last)
+def _refuse_others(comm: MPI.Comm, file: SlicedFile) -> None:
+    """Raise InputError, on every rank, where one has opened another file than rank 0. Collective."""
+    mine = file.root, file.layout, file.names.near
+    is_other = mine != comm.bcast(mine, root=0)
+    rank = comm.allreduce(comm.rank if is_other else comm.size, op=MPI.MIN)
+    if rank < comm.size:
+        why = f"rank {rank} finds another file there than rank 0; put it where all ranks see the same"
+        raise InputError(f"{file.path}: {why}")
 
 
-def _slab(comm: MPI.Comm, file: SlicedFile | None, name: str, kind: str, shape: tuple[int, ...]) -> Values:
-    """Rows (s, ...) of this rank of a part of the file, which rank 0 reads. Collective."""
-    part = Directory(comm, shape[0])
-    found = np.empty((part.last - part.first, *shape[1:]), dtype=np.float64 if name == "points" else np.int64)
-    for first, last in slabs_of(np.dtype(kind), shape):
-        rows = on_root(comm, partial(_rows, file, name, first, last))
-        lowest, highest = owner_of(part.starts, np.array([first, last - 1])).tolist()
-        for rank in range(lowest, highest + 1):
-            start, end = (int(each) for each in part.starts[rank : rank + 2])
-            low, high = max(first, start), min(last, end)
-            if low >= high:
-                continue
-            if rows is not None and rank == 0:
-                found[low - start : high - start] = rows[low - first : high - first]
-            elif rows is not None:
-                comm.Send(np.ascontiguousarray(rows[low - first : high - first]), rank)
-            elif rank == comm.rank:
-                comm.Recv(found[low - start : high - start], 0)
-    return found
+def _checked(raw: Raw) -> Raw:
+    """The part that was read, of a mesh that a scene can take. Raises InputError, on every rank. Collective."""
+    nodes, rows, comm = raw.nodes, raw.facets.rows, raw.nodes.comm
+    copies = raw.origin[raw.origin != nodes.numbers]
+    is_wrong = bool((nodes.look_up(raw.origin, copies) != copies).any())
+    if comm.allreduce(is_wrong, op=MPI.LOR):
+        raise InputError(f"{raw.saved.path}: is no saved mesh (origin has copies of copies); {WRITE_ONE}")
+    if raw.saved.near >= 0:
+        return raw
+    ends = np.zeros(len(raw.points), dtype=np.int64)
+    on = nodes.look_up(raw.origin, np.unique(rows.joint_bottom))
+    nodes.put(ends, on, np.ones_like(on))
+    refuse_joined_ends(raw.facets.flow.total, comm.allreduce(int(ends.sum())), raw.saved.path)
+    return replace(raw, facets=replace(raw.facets, rows=replace(rows, cuts=0, near=-1)))
+
+
+def frame_of(raw: Raw, fractures: Collection[str]) -> SplitMesh | None:
+    """Named points and joints of some fractures, to find places on: a mesh without a cell, on rank 0; else None. Collective."""
+    nodes, rows = raw.nodes, raw.facets.rows
+    chosen = [number for number, name in enumerate(rows.fractures) if name in fractures]
+    here = np.flatnonzero(np.isin(rows.joint_fracture, chosen))
+    to_first = Route(nodes.comm, np.zeros_like(here))
+    bottom, fracture = (to_first.send(each[here]) for each in (rows.joint_bottom, rows.joint_fracture))
+    along = to_first.send(rows.joint_along[here])
+    asked = np.array(list(rows.named_points.values()) if nodes.comm.rank == 0 else [], dtype=np.int64)
+    asked = np.union1d(asked, bottom)
+    node = np.union1d(asked, nodes.look_up(raw.origin, asked))
+    points, origin = (nodes.look_up(each, node) for each in (raw.points, raw.origin))
+    if nodes.comm.rank:
+        return None
+    named = {name: int(np.searchsorted(node, at)) for name, at in rows.named_points.items()}
+    none: dict[str, Any] = {name: getattr(rows, name)[:0] for name in ARRAYS}
+    first, faces = np.searchsorted(node, origin), np.searchsorted(node, bottom)
+    joints = {"joint_bottom": faces, "joint_fracture": fracture, "joint_along": along}
+    return replace(rows, **none | joints | {"points": points, "origin": first}, named_points=named)
 
 
 _OF_NODES = ("joint_bottom", "joint_top", "side_facets", "flow_origin")
 
 
-def _nodes_of(tables: SplitMesh) -> Ints:
-    """Nodes (f,) that joints, sides, flow nodes and names are on, ascending."""
-    named = np.array(list(tables.named_points.values()), dtype=np.int64)
-    return np.unique(np.concatenate([named, *(getattr(tables, name).ravel() for name in _OF_NODES)]))
-
-
 def moved(mesh: SplitMesh, number: Callable[[Ints], Ints]) -> SplitMesh:
     """The mesh with other numbers (n,) of nodes (n,) in its joints, sides, flow nodes and names."""
-    named = {name: int(number(np.array([node]))[0]) for name, node in mesh.named_points.items()}
-    tables: dict[str, Any] = {name: number(np.asarray(getattr(mesh, name), dtype=np.int64)) for name in _OF_NODES}
-    return replace(mesh, named_points=named, **tables)
-
-
-def _frame(saved: SavedMesh, tables: SplitMesh, node: Ints, points: Floats, origin: Ints) -> SplitMesh:
-    """The mesh without cells on nodes (f,). Raises InputError where another scene cannot take it."""
-    place = np.searchsorted(node, origin)
-    if not np.array_equal(node[np.minimum(place, len(node) - 1)], origin):
-        raise InputError(f"{saved.path}: is no saved mesh (origin has copies of copies); {WRITE_ONE}")
-    frame = moved(replace(tables, points=points, origin=place), lambda numbers: np.searchsorted(node, numbers))
-    if saved.near >= 0:
-        return frame
-    refuse_joined_ends(frame, saved.path)
-    return replace(frame, cuts=0, near=-1)
+    tables = [np.asarray(getattr(mesh, name), dtype=np.int64) for name in _OF_NODES]
+    names = np.array(list(mesh.named_points.values()), dtype=np.int64)
+    found = number(np.concatenate([names, *(table.ravel() for table in tables)]))
+    ends = np.cumsum([len(names), *(table.size for table in tables)])
+    new: dict[str, Any] = {
+        name: part.reshape(table.shape)
+        for name, table, part in zip(_OF_NODES, tables, np.split(found[ends[0] :], ends[1:-1] - ends[0]), strict=True)
+    }
+    return replace(mesh, named_points=dict(zip(mesh.named_points, found[: ends[0]].tolist(), strict=True)), **new)

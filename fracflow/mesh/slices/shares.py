@@ -1,13 +1,13 @@
 """From slices to the blocks of every rank, as ``mesh.distribute`` makes them of a mesh that rank 0 has.
 
-Cells go to ranks by where they are. Who else has a node, and which piece it is of, is known where the slab with it is. Joints
-and sides come from rank 0.
+Cells go to ranks by where they are, and joints and sides go with theirs. Who else has a node, and which piece it is of, is
+known where its number is kept.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from fracflow.mesh.slices.bisection import bisected
 from fracflow.mesh.slices.directory import Directory, Route
 from fracflow.mesh.slices.near_first import Slices
 from fracflow.mesh.slices.pieces import joined, owners
+from fracflow.mesh.slices.reading import Facets
 
 
 def distribute_slices(
@@ -27,12 +28,13 @@ def distribute_slices(
 ) -> Blocks:
     """Send each rank its cells with all that is on them, and number all. Collective.
 
-    mesh  the near cells, with all joints and sides, on rank 0, else None
+    mesh  the near cells on rank 0, else None: wells may have joined its flow nodes
     ties  (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
     """
     comm, nodes = slices.comm, slices.nodes
     cell_rank = bisected(slices.middle, comm)
-    rows, flows, cut = _handed_out(mesh, _near_ranks(slices, cell_rank), comm)
+    facets = _with_flow_of(mesh, slices)
+    rows, cut = _sent(slices, facets, cell_rank)
     there = Route(comm, cell_rank)
     cell = there.send(slices.number)
     order = np.argsort(cell)
@@ -40,7 +42,7 @@ def distribute_slices(
     corner = np.unique(cells)
     corner = corner[np.searchsorted(corner, 0) :]
     node = np.union1d(corner, rows.faces)
-    rocks, sides, fractures = comm.bcast(mesh and (mesh.rocks, mesh.sides, mesh.fractures), root=0)
+    rocks, sides, fractures = facets.rows.rocks, facets.rows.sides, facets.rows.fractures
     rigid = np.isin(cell_rock, [i for i, rock in enumerate(rocks) if rock in rigid_rocks])
 
     first, last = owners(nodes, corner)
@@ -50,8 +52,7 @@ def distribute_slices(
     bodies = joined(nodes, corner, is_shared, at_corner[rigid])
     local = np.where(cells >= 0, np.searchsorted(node, cells), -1)
     flow_node, one_end, local_flow = np.unique(rows.flow, return_index=True, return_inverse=True)
-    of_flow = Directory(comm, flows)
-    flow_first = of_flow.lowest(flow_node, np.full(len(flow_node), comm.rank, dtype=np.int64), comm.size)
+    flow_first = facets.flow.lowest(flow_node, np.full(len(flow_node), comm.rank, dtype=np.int64), comm.size)
     share = Share(
         rank=comm.rank,
         node=node,
@@ -70,12 +71,12 @@ def distribute_slices(
         flow=local_flow.reshape(-1, 2),
         flow_node=flow_node,
         flow_points=rows.flow_points.reshape(-1, 2)[one_end],
-        flow_owner=of_flow.look_up(flow_first, flow_node),
+        flow_owner=facets.flow.look_up(flow_first, flow_node),
         side_facets=np.searchsorted(node, rows.side_facets),
         side_of=rows.side_of,
         side_cell=np.searchsorted(cell, rows.side_cell),
     )
-    sizes = Sizes(2, nodes.total, slices.total, comm.allreduce(len(rows.joint)), flows, cut)
+    sizes = Sizes(2, nodes.total, slices.total, facets.joints.total, facets.flow.total, cut)
     none = np.zeros((0, 2), dtype=np.int64)
     tied = comm.bcast(none if ties is None else ties, root=0)
     count = len(rocks)
@@ -84,14 +85,6 @@ def distribute_slices(
         *_of_bodies(share, rigid, len(bodies.roots), count, comm), *_of_pieces(share, len(pieces.roots), count, comm),
     )  # fmt: skip
     return blocks_of(share, common, comm)
-
-
-def _near_ranks(slices: Slices, cell_rank: Ints) -> Ints | None:
-    """Where near cells go (near,), on rank 0. Collective."""
-    here = np.flatnonzero(slices.number < slices.near)
-    to_first = Route(slices.comm, np.zeros_like(here))
-    number, rank = to_first.send(slices.number[here]), to_first.send(cell_rank[here])
-    return rank[np.argsort(number)] if slices.comm.rank == 0 else None
 
 
 @dataclass(frozen=True)
@@ -114,22 +107,38 @@ class _Rows:
     side_cell: Ints
 
 
-def _handed_out(mesh: SplitMesh | None, near_rank: Ints | None, comm: MPI.Comm) -> tuple[_Rows, int, int]:
-    """The joints and sides of this rank, which rank 0 has; then how many flow nodes and cut joints there are. Collective."""
-    none = np.zeros(0, dtype=np.int64)
-    joints, along, sides = np.zeros((0, 8), dtype=np.int64), np.zeros((0, 6)), np.zeros((0, 4), dtype=np.int64)
-    joint_rank, side_rank, counts = none, none, None
-    if mesh is not None and near_rank is not None:
-        below, above = near_rank[mesh.joint_cells].T
-        joint_rank, side_rank = below, near_rank[mesh.side_cell]
-        ids = np.arange(len(below))
-        joints = np.column_stack([ids, mesh.joint_bottom, mesh.joint_top, mesh.joint_flow, mesh.joint_fracture])
-        places = mesh.points[mesh.flow_origin[mesh.joint_flow]].reshape(-1, 4)
-        along = np.column_stack([mesh.joint_along, places])
-        sides = np.column_stack([mesh.side_facets, mesh.side_of, mesh.side_cell])
-        counts = len(mesh.flow_origin), int(np.count_nonzero(below != above))
-    to_joints, to_sides = Route(comm, joint_rank), Route(comm, side_rank)
-    joints, along, sides = to_joints.send(joints), to_joints.send(along), to_sides.send(sides)
+def _with_flow_of(mesh: SplitMesh | None, slices: Slices) -> Facets:
+    """Joints and sides with the flow nodes of ``mesh``, where wells have joined some. Collective."""
+    comm, facets = slices.comm, slices.facets
+    count = comm.bcast(0 if mesh is None else len(mesh.flow_origin), root=0)
+    if count == facets.flow.total:
+        return facets
+    flow, joints = Directory(comm, count), np.empty_like(facets.rows.joint_flow)
+    origin = np.empty(flow.last - flow.first, dtype=np.int64)
+    for directory, kept, values in (
+        (flow, origin, None if mesh is None else mesh.flow_origin),
+        (facets.joints, joints, None if mesh is None else mesh.joint_flow),
+    ):
+        values = kept[:0] if values is None else values
+        directory.put(kept, np.arange(len(values)), values)
+    return replace(facets, flow=flow, rows=replace(facets.rows, joint_flow=joints, flow_origin=origin))
+
+
+def _sent(slices: Slices, facets: Facets, cell_rank: Ints) -> tuple[_Rows, int]:
+    """The joints and sides of this rank, and how many joints of all are cut, by the rank (m,) of each cell here. Collective."""
+    comm, nodes, table = slices.comm, slices.nodes, facets.rows
+    near, here = Directory(comm, slices.near), np.flatnonzero(slices.number < slices.near)
+    rank = np.empty(near.last - near.first, dtype=np.int64)
+    near.put(rank, slices.number[here], cell_rank[here])
+    below, above = near.look_up(rank, table.joint_cells.ravel()).reshape(-1, 2).T
+    ends = facets.flow.look_up(table.flow_origin, table.joint_flow.ravel())
+    places = nodes.look_up(slices.points, ends).reshape(-1, 4)
+    joints = np.column_stack([
+        facets.joints.numbers, table.joint_bottom, table.joint_top, table.joint_flow, table.joint_fracture
+    ])  # fmt: skip
+    along, sides = np.column_stack([table.joint_along, places]), [table.side_facets, table.side_of, table.side_cell]
+    to_joints, to_sides = Route(comm, below), Route(comm, near.look_up(rank, table.side_cell))
+    joints, along, side = to_joints.send(joints), to_joints.send(along), to_sides.send(np.column_stack(sides))
     rows = _Rows(
         joint=joints[:, 0].copy(),
         faces=joints[:, 1:5].reshape(-1, 2, 2),
@@ -137,11 +146,11 @@ def _handed_out(mesh: SplitMesh | None, near_rank: Ints | None, comm: MPI.Comm) 
         fracture=joints[:, 7].copy(),
         along=along[:, :2].copy(),
         flow_points=along[:, 2:].reshape(-1, 2, 2),
-        side_facets=sides[:, :2],
-        side_of=sides[:, 2].copy(),
-        side_cell=sides[:, 3],
+        side_facets=side[:, :2],
+        side_of=side[:, 2].copy(),
+        side_cell=side[:, 3],
     )
-    return rows, *comm.bcast(counts, root=0)
+    return rows, int(comm.allreduce(int(np.count_nonzero(below != above)), op=MPI.SUM))
 
 
 def _of_bodies(share: Share, rigid: Bools, count: int, rocks: int, comm: MPI.Comm) -> tuple[Floats, Ints, Ints]:
