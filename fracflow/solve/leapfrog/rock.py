@@ -23,6 +23,10 @@ from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sw
 
 PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
 COMPILED = ((2, 3), (2, 4))  # dimension and nodes of the cells that rock.c has; others go by their matrix
+OF_SWEEP = (
+    "node", "top", "of_three", "of_four", "oblique", "triangles", "quads", "rock_three", "rock_four", "moduli", "x",
+    "inverse", "e", "u", "v", "f",
+)  # fmt: skip
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
 
 
@@ -73,6 +77,10 @@ class Rock(Protocol):
 
     def sums(self, values: Floats) -> Sums:
         """This rank's, with ``values`` (n,) in the order of u."""
+        ...
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None where that has no loops, and on several ranks."""
         ...
 
     def destroy(self) -> None:
@@ -236,6 +244,13 @@ class Cells:
         starts = [start + 4 * first for start in self._starts]  # of whole numbers of 4 bytes
         return float(self._loops.fracflow_sweep(last - first, begun, *starts, *self._data, kick, drift, *self._motion))
 
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None on several ranks."""
+        if self._way is not None:
+            return None
+        arrays = dict(zip(OF_SWEEP, [*self._starts, *self._data, *self._motion], strict=True))
+        return {"ranges": len(self._sweep[1]), "a_rock": address(self.a), **arrays}
+
     def destroy(self) -> None:
         """Free the way between ranks. Collective."""
         if self._way is not None:
@@ -305,6 +320,10 @@ class AssembledRock:
         np.subtract(self.e, self._ku, out=self.f)
         self.v += kick * self._w * self.f
         self.u += drift * self.v
+
+    def given(self) -> dict[str, int] | None:
+        """None: it has no loops."""
+        return None
 
     def destroy(self) -> None:
         """Free the matrix. Collective."""
