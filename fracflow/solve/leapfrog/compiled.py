@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 VERSION = 6  # of the functions' arguments, as in rock.c
 _INT, _LONG, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
-    "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 13, _REAL, _REAL, *[_ARRAY] * 3)),
+    "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 14, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_cells": (_REAL, (_INT, _INT, *[_ARRAY] * 8)),
     "fracflow_move": (None, (_INT, _INT, _ARRAY, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_start": (None, (_INT, _REAL, _REAL, *[_ARRAY] * 3)),

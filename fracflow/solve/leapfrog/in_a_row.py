@@ -37,7 +37,7 @@ class Given(ctypes.Structure):
         *_all("sections every forced pushed own both ranges batches terms damped", _LONG),
         *_all("is_coupled has_path most most_changes", _LONG),
         *_all("dt share most_pressed", _REAL),
-        *_all("node top of_three of_four oblique triangles quads rock_three rock_four", _ARRAY),
+        *_all("node top of_three of_four oblique triangles quads quiet rock_three rock_four", _ARRAY),
         *_all("moduli x inverse e u v f", _ARRAY),
         *_all("starts at to entries weights inverse_pushed of_pushed places places_forced places_pushed", _ARRAY),
         *_all("moved free sizes force added scratch forces base", _ARRAY),

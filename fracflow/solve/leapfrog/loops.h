@@ -2,8 +2,8 @@
 #include <stdint.h>
 
 double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                      const int32_t *of_four, const int32_t *oblique, const int32_t *triangles, const int32_t *quads,
-                      const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
+                      const int32_t *of_four, const int32_t *oblique, const uint8_t *quiet, const int32_t *triangles,
+                      const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
                       const double *inverse, const double *e, double kick, double drift, double *u, double *v, double *f);
 void fracflow_predict(int32_t n, const int64_t *place, const double *v, double dt, double *moved);
 void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved, double *found);

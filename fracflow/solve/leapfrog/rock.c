@@ -117,17 +117,22 @@ INLINE void moved(int64_t first, int64_t last, const double *inverse, double kic
 
 /* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of range
    r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
-   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. */
+   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. Where quiet[r], that of the range is 0
+   and is not read. */
 FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                                   const int32_t *of_four, const int32_t *oblique, const int32_t *triangles, const int32_t *quads,
-                                   const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
+                                   const int32_t *of_four, const int32_t *oblique, const uint8_t *quiet, const int32_t *triangles,
+                                   const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
                                    const double *inverse, const double *e, double kick, double drift, double *u, double *v,
                                    double *f) {
   double twice = 0.0;
   four others = {0.0, 0.0, 0.0, 0.0};
   for (int32_t r = 0; r < ranges; r++) {
     if (top[r] > begun) {
-      memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, 2 * sizeof(double) * (size_t)(top[r] - begun));
+      const size_t size = 2 * sizeof(double) * (size_t)(top[r] - begun);
+      if (quiet[r])
+        memset(f + 2 * (int64_t)begun, 0, size);
+      else
+        memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, size);
       begun = top[r];
     }
     for (int64_t k = of_three[r]; k < of_three[r + 1]; k++)

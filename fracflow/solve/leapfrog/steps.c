@@ -11,6 +11,7 @@ typedef struct {
   double dt, share, most_pressed;
   /* the rock, as in rock.c */
   const int32_t *node, *top, *of_three, *of_four, *oblique, *triangles, *quads;
+  const uint8_t *quiet;
   const uint16_t *rock_three, *rock_four;
   const double *moduli, *x, *inverse;
   double *e, *u, *v, *f;
@@ -130,8 +131,8 @@ static void all_move(steps *s, int is_last) {
   }
   fracflow_put((int32_t)s->forced, 0, s->places_forced, s->forces, s->e);
   for (int64_t i = 0; i < s->own; i++) s->u_own[i] = s->u[s->places_own[i]];
-  s->energy = 0.5 * fracflow_sweep((int32_t)s->ranges, 0, s->node, s->top, s->of_three, s->of_four, s->oblique, s->triangles,
-                                   s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick, drift, s->u,
+  s->energy = 0.5 * fracflow_sweep((int32_t)s->ranges, 0, s->node, s->top, s->of_three, s->of_four, s->oblique, s->quiet,
+                                   s->triangles, s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick, drift, s->u,
                                    s->v, s->f);
   fracflow_accelerate(pushed, s->places_pushed, s->inverse_pushed, s->f, s->accelerations[1]);
   own_nodes_move(s, kick, drift, is_last);

@@ -175,6 +175,7 @@ class Run:
         self.loaded = np.setdiff1d(np.flatnonzero(self.constant), changes)
         np.subtract(self.constant, nodes.prestress, out=self.rock.e)
         self.base = self.rock.e[nodes.places_forced]
+        self.rock.keep(nodes.places_forced)
         constant.destroy()
 
     def _rock_sums(self, sums: Sums) -> RockSums:
