@@ -3,10 +3,12 @@
 
 double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
                       const int32_t *of_four, const int32_t *oblique, const uint8_t *quiet, const int32_t *triangles,
-                      const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
-                      const double *inverse, const double *e, double kick, double drift, double *u, double *v, double *f);
+                      const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli,
+                      const double *x, const double *inverse, const double *e, double kick, double drift, double *u, double *v,
+                      double *f);
 void fracflow_predict(int32_t n, const int64_t *place, const double *v, double dt, double *moved);
-void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved, double *found);
+void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved,
+                    double *found);
 void fracflow_pull(int32_t n, int32_t p, const int32_t *starts, const int32_t *at, const int32_t *to, const double *entries,
                    const double *weights, const double *before, const double *after, const double *inverse, double share,
                    const int32_t *of_pushed, double *force, double *pushed, double *added, double *moved, double *sizes);
@@ -15,8 +17,8 @@ void fracflow_resist(int32_t n, const int32_t *starts, const int32_t *at, const 
 void fracflow_put(int32_t n, int32_t adds, const int64_t *place, const double *values, double *there);
 void fracflow_accelerate(int32_t n, const int64_t *place, const double *inverse, const double *f, double *a);
 double fracflow_gain(int32_t n, const double *inverse, const double *force, const double *before, const double *after);
-double fracflow_damp(int32_t n, const int32_t *starts, const int32_t *columns, const double *blocks, double by, const double *moved,
-                     const double *before, double *y, double *force);
+double fracflow_damp(int32_t n, const int32_t *starts, const int32_t *columns, const double *blocks, double by,
+                     const double *moved, const double *before, double *y, double *force);
 void fracflow_before(int32_t n, const double *free, const double *strain, const double *traction, const double *tangent,
                      const double *plastic, const double *sliding, const double *path, double *before);
 int32_t fracflow_after(int32_t n, const double *before, const double *found, double *strain, double *largest);

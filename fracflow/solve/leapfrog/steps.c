@@ -1,5 +1,5 @@
-/* Explicit steps in a row on one rank, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a compiled
-   answer, sides of dashpots and one damping; nothing is held, and no load changes. */
+/* Explicit steps in a row on one rank, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a
+   compiled answer, sides of dashpots and one damping; nothing is held, and no load changes. */
 #include "loops.h"
 #include <math.h>
 #include <string.h>
@@ -23,14 +23,14 @@ typedef struct {
   double *moved, *free, *sizes, *force, *added, *scratch, *forces;
   const double *base;
   double *accelerations[2];
-  /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and of their members, and addresses of both arrays of each batch */
+  /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and their members, and addresses of both arrays of a batch */
   const double *laws;
   double *before, *found;
   const int64_t *shapes, *const *rows;
   const double *const *compliance;
   double *strain[2], *values[2], *record[2], *blur[2], *friction;
   int8_t *statuses[2];
-  /* nodes with dashpots: places of unknowns (o,) among all, in the rock, and pairs (b, 2) of them and of pushed ones that are the
+  /* nodes with dashpots: places of unknowns (o,) among all, in the rock, and pairs (b, 2) of pushed ones and them that are the
      same; blocks (o/2, 4) of (M + dt/2 C)^-1 and of each C; forces (o,) of each C */
   const int64_t *at_own, *places_own, *shared;
   const double *inverse_own;
@@ -132,16 +132,17 @@ static void all_move(steps *s, int is_last) {
   fracflow_put((int32_t)s->forced, 0, s->places_forced, s->forces, s->e);
   for (int64_t i = 0; i < s->own; i++) s->u_own[i] = s->u[s->places_own[i]];
   s->energy = 0.5 * fracflow_sweep((int32_t)s->ranges, 0, s->node, s->top, s->of_three, s->of_four, s->oblique, s->quiet,
-                                   s->triangles, s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick, drift, s->u,
-                                   s->v, s->f);
+                                   s->triangles, s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick,
+                                   drift, s->u, s->v, s->f);
   fracflow_accelerate(pushed, s->places_pushed, s->inverse_pushed, s->f, s->accelerations[1]);
   own_nodes_move(s, kick, drift, is_last);
-  s->scheme += 0.125 * (s->dt * s->dt) * fracflow_gain(pushed, s->inverse_pushed, s->force, s->accelerations[0], s->accelerations[1]);
+  const double gain = fracflow_gain(pushed, s->inverse_pushed, s->force, s->accelerations[0], s->accelerations[1]);
+  s->scheme += 0.125 * (s->dt * s->dt) * gain;
   swap(s->accelerations);
 }
 
-/* Up to ``count`` steps, and how many there were: one that joints need the laws for is not begun. The last of them all ends at an
-   instant where ``ends``. */
+/* Up to ``count`` steps, and how many there were: one that joints need the laws for is not begun. The last of them all ends at
+   an instant where ``ends``. */
 int64_t fracflow_steps(steps *s, int64_t count, int32_t ends) {
   for (int64_t k = 0; k < count; k++) {
     fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import PETSc, destroy, sum_over_ranks
 from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
@@ -404,7 +404,7 @@ class Run:
             "scheme": balance.scheme + scheme_energy(self.dt, before.pushed, after.pushed),
             "work_boundaries": balance.boundaries + after.constant - before.constant,
         }
-        values = nodes.operators.layout.comm.allreduce(np.concatenate([list(here.values()), balance.joints]))
+        values = sum_over_ranks(np.concatenate([list(here.values()), balance.joints]), nodes.operators.layout.comm)
         total = dict(zip(here, values.tolist(), strict=False))
         parts = {name: value for name, value in total.items() if not name.startswith("taken ")}
         parts |= joint_parts(values[len(here) :])
