@@ -305,7 +305,7 @@ class AssembledRock:
         values[:] = vector.getArray(readonly=True)
 
     def keep(self, places: Ints) -> None:
-        """Nothing: the matrix costs more."""
+        """Nothing for the places (k,): the matrix costs more."""
 
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
