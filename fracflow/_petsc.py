@@ -189,6 +189,12 @@ def sum_over_ranks(here: Any, comm: MPI.Comm) -> Any:
     return here if comm.size == 1 else comm.allreduce(here, op=MPI.SUM)
 
 
+def gathered(here: Result, comm: MPI.Comm, root: int = 0) -> list[Result] | None:
+    """The things of all ranks, on rank ``root``; None elsewhere. On one rank itself, which MPI would pack. Collective."""
+    found: list[Result] | None = [here] if comm.size == 1 else comm.gather(here, root=root)
+    return found
+
+
 def destroy(*things: Any) -> None:
     """Free PETSc objects, and others that own some; None is passed over. Collective."""
     for thing in things:
@@ -196,4 +202,4 @@ def destroy(*things: Any) -> None:
             thing.destroy()
 
 
-__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "precondition_by", "sum_over_ranks", "timed"]
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir", "gathered", "precondition_by", "sum_over_ranks", "timed"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 from typing import TYPE_CHECKING
@@ -125,9 +125,19 @@ class ExplicitSubsteps:
         if flow is not None:
             flow.begin(state)
         try:
-            for done, part in enumerate(substeps(request, state.controls, count, then), start=1):
-                around = part.length, dt / count if done < count else then
-                reports.append(self._part(part, around, done == count))
+            done = 0
+            while done < count:
+                row = explicit.leapfrog.in_a_row(count - done, request.hold)
+                if row is not None:
+                    solved = row.done if explicit.model.operators.blocks.sizes.joints else 0
+                    reports.append(StepReport(row.iterations, cycles=1, solid_residual=row.left, solved=solved))
+                    done += row.done
+                if done < count:
+                    done += 1
+                    part = substep(request, state.controls, count, then, done)
+                    around = dt / count, dt / count if done < count else then
+                    reports.append(self._part(part, around, done == count))
+            around = dt / count, then
             new = run.end(state if flow is None else flow.now, request, around, {} if flow is None else flow.parts)
             return Outcome(new, replace(of_substeps(reports), digits=self._digits(new)), request.end)
         finally:
@@ -170,17 +180,19 @@ class ExplicitSubsteps:
             raise
 
 
-def substeps(request: StepRequest, controls: Mapping[str, float], count: int, then: float) -> Iterator[StepRequest]:
-    """Equal substeps of a step that begins with ``controls``, and that one of length ``then`` follows."""
+def substep(request: StepRequest, controls: Mapping[str, float], count: int, then: float, done: int) -> StepRequest:
+    """The one after which ``done`` of equal substeps of a step are done.
+
+    The step begins with ``controls``, and one of length ``then`` follows.
+    """
     dt = request.length
-    for done in range(1, count + 1):
-        yield replace(
-            request,
-            time=request.time - dt * (count - done) / count,
-            length=dt / count,
-            controls=on_the_way(controls, request.controls, 0.0, done / count),
-            next_length=dt / count if done < count else then,
-        )
+    return replace(
+        request,
+        time=request.time - dt * (count - done) / count,
+        length=dt / count,
+        controls=on_the_way(controls, request.controls, 0.0, done / count),
+        next_length=dt / count if done < count else then,
+    )
 
 
 def of_substeps(reports: Sequence[StepReport]) -> StepReport:

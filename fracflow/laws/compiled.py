@@ -79,8 +79,8 @@ class CompiledFriction:
     def __init__(self, law: JointLaw, sections: int) -> None:
         """Bring its parameters into a table."""
         self._rows = table(law, np.zeros(sections))
-        self.is_coupled, self._has_path = bool(getattr(law, "coupled_tangent", True)), "slip_path" in law.history
-        self._names = ("plastic_slip", "sliding", *["slip_path"][: self._has_path])
+        self.is_coupled, self.has_path = bool(getattr(law, "coupled_tangent", True)), "slip_path" in law.history
+        self._names = ("plastic_slip", "sliding", *["slip_path"][: self.has_path])
         compiled = library()
         assert compiled is not None
         self._loop = compiled.fracflow_friction
@@ -106,11 +106,21 @@ class CompiledFriction:
         n = len(self._rows)
         return Answers(np.empty(15 * n), np.empty((2, n), dtype=bool))
 
+    def answers(
+        self, traction: Floats, tangent: Floats, inelastic: Floats, stored: Floats, history: History
+    ) -> Answers:
+        """Those of a response (n, ...) from which a loop goes on: without strengths, margins and statuses."""
+        n, found = len(self._rows), self.empty()
+        starts = (0, traction), (2 * n, tangent), (6 * n, inelastic), (8 * n, stored)
+        for first, each in (*starts, *((12 * n + n * k, each) for k, each in enumerate(self.past(history)))):
+            found.values[first : first + each.size] = each.ravel()
+        return found
+
     def response(self, answers: Answers) -> JointResponse:
         """The response (n, ...) that a loop has put there."""
         n, (found, statuses) = len(self._rows), answers
         new = {"plastic_slip": found[12 * n : 13 * n, None], "sliding": found[13 * n : 14 * n, None]}
-        if self._has_path:
+        if self.has_path:
             new["slip_path"] = found[14 * n :]
         return JointResponse(
             traction=found[: 2 * n].reshape(n, 2),

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, gathered
 from fracflow.mesh.data import Ints
 from fracflow.storage.sealed import Slabs, slabs_of
 
@@ -96,7 +96,7 @@ class Order:
         start, end = np.searchsorted(self._ids, (first, last))
         places = (self._ids[start:end] - first).astype(np.int32)
         rows = np.arange(start, end) if self._rows is None else self._rows[start:end]
-        return rows, places, self.comm.gather(len(places), root=root)
+        return rows, places, gathered(len(places), self.comm, root)
 
     def _of_others(self, counts: list[int], root: int = 0) -> Iterator[tuple[int, NDArray[np.int32]]]:
         """The other ranks that have rows of a slab, and the places of these, which they send."""

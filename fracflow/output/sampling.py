@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, sum_over_ranks
+from fracflow._petsc import MPI, gathered, sum_over_ranks
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model.flow import Conduction
@@ -280,7 +280,7 @@ class StateSampler:
             self._motion(sampler.nodes),
         )
         least, wells = self.ends.at_least(), self._at_wells()
-        parts = blocks.comm.gather(here, root=0)
+        parts = gathered(here, blocks.comm)
         if parts is None or ends is None:
             return None
         joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}

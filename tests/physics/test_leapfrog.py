@@ -1,5 +1,6 @@
 """Explicit steps in one sweep: the equations, by PETSc as by compiled loops, on all ranks, and to the bit after a stop."""
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,10 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 from fracflow.solve.explicit import ExplicitModel
-from fracflow.solve.leapfrog import damping, joint_nodes, rock, section_work
+from fracflow.solve.leapfrog import damping, joint_nodes, rock, section_work, steps
 from fracflow.solve.leapfrog.compiled import library
 from fracflow.solve.leapfrog.damping import PlainDamping, SymmetricDamping
+from fracflow.solve.leapfrog.in_a_row import StepsInARow
 from fracflow.solve.leapfrog.joint_nodes import CompiledJointNodes, PlainJointNodes, Pushed
 from fracflow.solve.leapfrog.local import LocalMatrix
 from fracflow.solve.leapfrog.steps import Leapfrog
@@ -337,4 +339,46 @@ def test_goes_on_to_the_bit(scene, tmp_path):
     resume(tmp_path / "parts", MPI.COMM_SELF)
     whole, parts = (read_history(tmp_path / name / "history.h5") for name in ("whole", "parts"))
     for name, values in whole.items():
+        assert np.array_equal(values, parts[name], equal_nan=True), name
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(library() is None, reason="loops are not compiled here")
+def test_steps_in_a_row(scene, tmp_path, monkeypatch):
+    """They are those that Python takes one by one, also where they stop for some of these, and go on to the bit."""
+    file = scene.with_name("rupture.toml")
+    kept = [each for each in re.split(r"\n(?=\[)", SCENE) if not each.startswith("[[support]]") and "[[[0" not in each]
+    longer = "\n".join(kept).replace("12e-3", "30e-3").replace("end = 0.09", "end = 0.3")
+    file.write_text(re.sub(r"(?m)^wave = .*\n", "", longer))
+    taken, take = [], StepsInARow.take
+
+    def counted(self, held, base, dt, count):
+        row = take(self, held, base, dt, count)
+        taken.append((count, row.done if row is not None else 0))
+        return row
+
+    def stop(step):
+        if step.state.time > 0.05:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StepsInARow, "take", counted)
+    run(load(file), tmp_path / "rows", MPI.COMM_SELF)
+    assert taken and all(count == done > 1 for count, done in taken)
+    with pytest.raises(KeyboardInterrupt):
+        run(load(file, ["output.checkpoint_every=1"]), tmp_path / "parts", MPI.COMM_SELF, progress=stop)
+    resume(tmp_path / "parts", MPI.COMM_SELF)
+    taken.clear()
+    monkeypatch.setattr(StepsInARow, "_most_pressed", lambda self, sections: -1.0000001 * sections.traction[:, 1].min())
+    run(load(file), tmp_path / "mixed", MPI.COMM_SELF)
+    assert any(0 < done < count for count, done in taken) and any(not done for _, done in taken)
+    monkeypatch.setattr(steps, "steps_in_a_row", lambda *given: None)
+    run(load(file), tmp_path / "single", MPI.COMM_SELF)
+    single, rows, parts = (read_history(tmp_path / name / "history.h5") for name in ("single", "rows", "parts"))
+    largest = max(np.abs(values).max() for name, values in single.items() if name.startswith("energy/"))
+    assert np.abs(rows["energy/residual"]).max() < 1e-10 * largest
+    for name in ("kinetic", "radiated", "damping", "friction"):
+        assert np.abs(single[f"energy/{name}"]).max() > 1e-6 * largest, name  # all of them act
+    for name in ("rows", "mixed"):
+        assert_alike(tmp_path / "single", tmp_path / name, 1e-13)
+    for name, values in rows.items():
         assert np.array_equal(values, parts[name], equal_nan=True), name

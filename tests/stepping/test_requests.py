@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from fracflow.advance.explicit import substeps
+from fracflow.advance.explicit import substep
 from fracflow.advance.outcome import Outcome
 from fracflow.advance.stage import SplitAtJumps
 from fracflow.model.state import StepReport
@@ -64,7 +64,7 @@ def test_a_part_ends_at_a_jump_and_is_followed_by_none():
 
 
 def test_explicit_substeps_are_equal_and_know_what_follows_them():
-    asked = list(substeps(HALF.part({"p": 1.0}, 0.0, 1.0), {"p": 1.0}, 4, 0.0))
+    asked = [substep(HALF.part({"p": 1.0}, 0.0, 1.0), {"p": 1.0}, 4, 0.0, done) for done in range(1, 5)]
     assert [each.time for each in asked] == [14.25, 14.5, 14.75, 15.0] and {each.length for each in asked} == {0.25}
     assert [each.controls["p"] for each in asked] == [1.5, 2.0, 2.5, 3.0]
     assert [each.next_length for each in asked] == [0.25, 0.25, 0.25, 0.0]

@@ -1,4 +1,4 @@
-"""The compiled loops of ``rock.c``, ``joints.c`` and ``nodes.c``, which setting up makes where there is a compiler.
+"""The compiled loops of ``rock.c``, ``joints.c``, ``nodes.c`` and ``steps.c``, made at set-up where there is a compiler.
 
 C and not numba, which takes 2.0 times as long on quadrilaterals and 1.3 times on triangles. It also brings 160 MB, and
 compiles for 4 s in each new environment. The loops need no header but C's own, and are called through ctypes.
@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 5  # of the functions' arguments, as in rock.c
-_INT, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
+VERSION = 6  # of the functions' arguments, as in rock.c
+_INT, _LONG, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
-    "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 13, _REAL, _REAL, *[_ARRAY] * 3)),
+    "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 14, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_cells": (_REAL, (_INT, _INT, *[_ARRAY] * 8)),
     "fracflow_move": (None, (_INT, _INT, _ARRAY, _REAL, _REAL, *[_ARRAY] * 3)),
     "fracflow_start": (None, (_INT, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -38,6 +38,7 @@ _FUNCTIONS = {
     "fracflow_gain": (_REAL, (_INT, *[_ARRAY] * 4)),
     "fracflow_before": (None, (_INT, *[_ARRAY] * 8)),
     "fracflow_after": (_INT, (_INT, *[_ARRAY] * 4)),
+    "fracflow_steps": (_LONG, (_ARRAY, _LONG, _INT)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 

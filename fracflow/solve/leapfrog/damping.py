@@ -29,6 +29,10 @@ class Damping(Protocol):
         """
         ...
 
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None where that has no loops."""
+        ...
+
     def destroy(self) -> None:
         """Free it. Collective."""
         ...
@@ -51,6 +55,10 @@ class PlainDamping:
         found = self._matrix.times(moved, 1.0 / dt)
         np.subtract(force, found, out=force)
         return found, 0.5 * float((before + found) @ moved)
+
+    def given(self) -> dict[str, int] | None:
+        """None: it has no loops."""
+        return None
 
     def destroy(self) -> None:
         """Free it. Collective."""
@@ -79,6 +87,11 @@ class SymmetricDamping:
         found = np.empty(len(moved))
         given = map(address, (moved, before, found, force))
         return found, 0.5 * float(self._loops.fracflow_damp(len(moved) // 2, *self._given, 1.0 / dt, *given))
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``."""
+        names = ("damping_starts", "damping_columns", "damping")
+        return {"damped": len(self.numbers) // 2, **dict(zip(names, self._given, strict=True))}
 
     def destroy(self) -> None:
         """Nothing is PETSc's."""

@@ -62,6 +62,19 @@ class JointGuess:
         self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 7))
         self._batches = [_Batch(each) for each in clusters.batches]
         self._friction = self.joints.copy_of_law if clusters.exchange.stays else None
+        self._shapes = np.array([each.given[:2] for each in self._batches], np.int64).reshape(-1, 2)
+        self._addresses = np.array([each.given[2:] for each in self._batches], np.int64).reshape(-1, 2).T.copy()
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None where compiled laws do not answer with the last trial."""
+        if self._friction is None:
+            return None
+        counts = {"batches": len(self._batches), "most": self.most, "most_changes": MOST_CHANGES}
+        kind = {"is_coupled": int(self._friction.is_coupled), "has_path": int(self._friction.has_path)}
+        rows, compliance = self._addresses
+        arrays = {"laws": self._laws, "before": self._before, "found": self._found, "shapes": self._shapes}
+        arrays |= {"rows": rows, "compliance": compliance}
+        return counts | kind | {name: address(values) for name, values in arrays.items()}
 
     def solve(self, before: Sections, free: Floats, share: float) -> Trial:
         """The motion of sections that would move freely by ``free`` (s, 2); ``share`` as in ``joints``. Collective."""

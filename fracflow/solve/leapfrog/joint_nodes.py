@@ -64,6 +64,10 @@ class JointNodes(Protocol):
         """Sum of forces (p,) times accelerations (p,) before and after a step, of what is neither held nor on a body."""
         ...
 
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None where that has no loops."""
+        ...
+
 
 class PlainJointNodes:
     """By NumPy, and by PETSc where other ranks have nodes of joints."""
@@ -116,6 +120,10 @@ class PlainJointNodes:
         """Sum of forces (p,) times accelerations (p,) before and after a step, of what is neither held nor on a body."""
         at = self.nodes.free
         return float(force[at] @ (before[at] + after[at]))
+
+    def given(self) -> dict[str, int] | None:
+        """None: it has no loops."""
+        return None
 
 
 class CompiledJointNodes:
@@ -187,6 +195,13 @@ class CompiledJointNodes:
         """Sum of forces (p,) times accelerations (p,) before and after a step, of what is neither held nor on a body."""
         given = map(address, (self._inverse, force, before, after))
         return float(self._loops.fracflow_gain(len(force), *given))
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``."""
+        names = "starts", "at", "to", "entries", "weights", "of_pushed", "places", "places_forced", "places_pushed"
+        counts = dict(zip(("every", "forced", "pushed"), self._counts, strict=True), sections=self._sections)
+        arrays = dict(zip(names, map(address, self._arrays), strict=True))
+        return counts | arrays | {"inverse_pushed": address(self._inverse)}
 
 
 def _shares_columns(nodes: Nodes) -> bool:

@@ -7,11 +7,14 @@
 #include <stdint.h>
 #include <string.h>
 
-const int fracflow_leapfrog_version = 5;
+const int fracflow_leapfrog_version = 6;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));
 typedef long long places __attribute__((vector_size(32)));
+
+#define AT(p, i) (*(const two *)((p) + (i)))
+#define TO_IN(p, i) (*(two *)((p) + (i)))
 
 INLINE double triangle(const int32_t *cell, const double *d, const double *x, const double *u, double *f) {
   const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2];
@@ -27,13 +30,48 @@ INLINE double triangle(const int32_t *cell, const double *d, const double *x, co
   return s * xx + t * yy + h * xy;
 }
 
+/* Values at corner c of four cells side by side. */
+#define SIDE_BY_SIDE(p, c, to_x, to_y) { \
+    const two p0 = AT(p, at[c][0]), p1 = AT(p, at[c][1]), p2 = AT(p, at[c][2]), p3 = AT(p, at[c][3]); \
+    to_x = (four){p0[0], p1[0], p2[0], p3[0]}, to_y = (four){p0[1], p1[1], p2[1], p3[1]}; }
+
+/* Four triangles side by side, each as ``triangle`` has it. */
+INLINE void triangles_of_four(const int32_t *cells, const uint16_t *rock, const double *moduli, const double *x, const double *u,
+                              double *f, four *twice) {
+  int64_t at[3][4];
+  four px[3], py[3], qx[3], qy[3];
+  const double *of[4];
+  for (int n = 0; n < 4; n++) {
+    of[n] = moduli + 3 * (int64_t)rock[n];
+    for (int c = 0; c < 3; c++) at[c][n] = 2 * (int64_t)cells[3 * n + c];
+  }
+  const four d0 = {of[0][0], of[1][0], of[2][0], of[3][0]}, d1 = {of[0][1], of[1][1], of[2][1], of[3][1]};
+  const four d2 = {of[0][2], of[1][2], of[2][2], of[3][2]};
+  for (int c = 0; c < 3; c++) {
+    SIDE_BY_SIDE(x, c, px[c], py[c])
+    SIDE_BY_SIDE(u, c, qx[c], qy[c])
+  }
+  const four x1 = px[1] - px[0], y1 = py[1] - py[0], x2 = px[2] - px[0], y2 = py[2] - py[0];
+  const four u1 = qx[1] - qx[0], v1 = qy[1] - qy[0], u2 = qx[2] - qx[0], v2 = qy[2] - qy[0];
+  const four w = 0.5 / (x1 * y2 - x2 * y1);
+  const four xx = u1 * y2 - u2 * y1, yy = x1 * v2 - x2 * v1, xy = x1 * u2 - x2 * u1 + v1 * y2 - v2 * y1;
+  const four s = w * (d0 * xx + d1 * yy), t = w * (d1 * xx + d0 * yy), h = w * d2 * xy;
+  const four jx = s * y2 - h * x2, jy = h * y2 - t * x2, kx = h * x1 - s * y1, ky = t * x1 - h * y1;
+  const four ix = jx + kx, iy = jy + ky;
+  *twice += s * xx + t * yy + h * xy;
+  for (int n = 0; n < 4; n++) {
+    TO_IN(f, at[0][n]) += (two){ix[n], iy[n]};
+    TO_IN(f, at[1][n]) -= (two){jx[n], jy[n]};
+    TO_IN(f, at[2][n]) -= (two){kx[n], ky[n]};
+  }
+}
+
 /* A field of corner values p has slopes (p_1 + p_3 eta)/4 and (p_2 + p_3 xi)/4; both sides of the four places of quadrature lie
    side by side, so that their Jacobians are 16 times as large. Adds to twice the energy. */
 INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x, const double *u, double *f, four *twice) {
   const double g = 0.57735026918962576451;
   const four xi = {-g, g, g, -g}, eta = {-g, -g, g, g};
   const int64_t i = 2 * (int64_t)cell[0], j = 2 * (int64_t)cell[1], k = 2 * (int64_t)cell[2], l = 2 * (int64_t)cell[3];
-#define AT(p, i) (*(const two *)((p) + (i)))
   const two x_ki = AT(x, k) - AT(x, i), x_lj = AT(x, l) - AT(x, j), u_ki = AT(u, k) - AT(u, i), u_lj = AT(u, l) - AT(u, j);
   const two x1 = x_ki - x_lj, x2 = x_ki + x_lj, u1 = u_ki - u_lj, u2 = u_ki + u_lj;
   const two x3 = (AT(x, i) - AT(x, j)) + (AT(x, k) - AT(x, l)), u3 = (AT(u, i) - AT(u, j)) + (AT(u, k) - AT(u, l));
@@ -50,7 +88,6 @@ INLINE void quadrilateral(const int32_t *cell, const double *d, const double *x,
 #define PAIRS(p, q) (MIXED(p, q, 0, 4, 2, 6) + MIXED(p, q, 1, 5, 3, 7))
   const four a = PAIRS(ax, ay), b = PAIRS(bx, by), c = PAIRS(cx, cy);
   const two fa = {a[0] + a[2], a[1] + a[3]}, fb = {b[0] + b[2], b[1] + b[3]}, fc = {c[0] + c[2], c[1] + c[3]};
-#define TO_IN(p, i) (*(two *)((p) + (i)))
 #define TO(i) TO_IN(f, i)
   TO(i) += (fa + fb) - fc;
   TO(j) -= (fa - fb) - fc;
@@ -74,9 +111,6 @@ INLINE void parallelograms(const int32_t *cells, const uint16_t *rock, int count
   const four d[3] = {{of[0][0], of[1][0], of[2][0], of[3][0]}, {of[0][1], of[1][1], of[2][1], of[3][1]},
                      {of[0][2], of[1][2], of[2][2], of[3][2]}};
   const four used = {1.0, count > 1 ? 1.0 : 0.0, count > 2 ? 1.0 : 0.0, count > 3 ? 1.0 : 0.0};
-#define SIDE_BY_SIDE(p, c, to_x, to_y) { \
-    const two p0 = AT(p, at[c][0]), p1 = AT(p, at[c][1]), p2 = AT(p, at[c][2]), p3 = AT(p, at[c][3]); \
-    to_x = (four){p0[0], p1[0], p2[0], p3[0]}, to_y = (four){p0[1], p1[1], p2[1], p3[1]}; }
   for (int c = 0; c < 4; c++) {
     SIDE_BY_SIDE(x, c, px[c], py[c])
     SIDE_BY_SIDE(u, c, qx[c], qy[c])
@@ -117,22 +151,30 @@ INLINE void moved(int64_t first, int64_t last, const double *inverse, double kic
 
 /* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of range
    r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
-   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. */
+   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. Where quiet[r],
+   e is 0 from the last top on, and is not read. */
 FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                                   const int32_t *of_four, const int32_t *oblique, const int32_t *triangles, const int32_t *quads,
-                                   const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
-                                   const double *inverse, const double *e, double kick, double drift, double *u, double *v,
-                                   double *f) {
+                                   const int32_t *of_four, const int32_t *oblique, const uint8_t *quiet, const int32_t *triangles,
+                                   const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four,
+                                   const double *moduli, const double *x, const double *inverse, const double *e, double kick,
+                                   double drift, double *u, double *v, double *f) {
   double twice = 0.0;
   four others = {0.0, 0.0, 0.0, 0.0};
   for (int32_t r = 0; r < ranges; r++) {
     if (top[r] > begun) {
-      memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, 2 * sizeof(double) * (size_t)(top[r] - begun));
+      const size_t size = 2 * sizeof(double) * (size_t)(top[r] - begun);
+      if (quiet[r])
+        memset(f + 2 * (int64_t)begun, 0, size);
+      else
+        memcpy(f + 2 * (int64_t)begun, e + 2 * (int64_t)begun, size);
       begun = top[r];
     }
-    for (int64_t k = of_three[r]; k < of_three[r + 1]; k++)
-      twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
-    int64_t next = of_four[r];
+    int64_t next = of_three[r];
+    for (; next + 4 <= of_three[r + 1]; next += 4)
+      triangles_of_four(triangles + 3 * next, rock_three + next, moduli, x, u, f, &others);
+    for (; next < of_three[r + 1]; next++)
+      twice += triangle(triangles + 3 * next, moduli + 3 * (int64_t)rock_three[next], x, u, f);
+    next = of_four[r];
     for (; next + 4 <= oblique[r]; next += 4) parallelograms(quads + 4 * next, rock_four + next, 4, moduli, x, u, f, &others);
     if (next < oblique[r])
       parallelograms(quads + 4 * next, rock_four + next, oblique[r] - (int)next, moduli, x, u, f, &others);

@@ -23,6 +23,10 @@ from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sw
 
 PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
 COMPILED = ((2, 3), (2, 4))  # dimension and nodes of the cells that rock.c has; others go by their matrix
+OF_SWEEP = (
+    "node", "top", "of_three", "of_four", "oblique", "quiet", "triangles", "quads", "rock_three", "rock_four", "moduli", "x",
+    "inverse", "e", "u", "v", "f",
+)  # fmt: skip
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
 
 
@@ -59,6 +63,10 @@ class Rock(Protocol):
         """Read the local values of a vector into one of the arrays (n,)."""
         ...
 
+    def keep(self, places: Ints) -> None:
+        """Outer forces stay as they are, but at some places (k,): steps need not read those that are 0."""
+        ...
+
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
         ...
@@ -73,6 +81,10 @@ class Rock(Protocol):
 
     def sums(self, values: Floats) -> Sums:
         """This rank's, with ``values`` (n,) in the order of u."""
+        ...
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None where that has no loops, and on several ranks."""
         ...
 
     def destroy(self) -> None:
@@ -152,6 +164,7 @@ class Cells:
         oblique = starts[1][:-1] + np.diff(before[starts[1]])
         self._sweep = [node, top, *starts, oblique.astype(np.int32)]
         self._starts = [address(each) for each in self._sweep]
+        self._quiet = np.zeros(len(top), dtype=np.uint8)
 
     def _share(self, blocks: Blocks, place: Ints) -> None:
         """Make the way of ghost values between ranks."""
@@ -189,6 +202,14 @@ class Cells:
         """Read the local values of a vector into one of the arrays (n,)."""
         given = vector.getArray(readonly=True)
         self._loops.fracflow_take(self.owned, address(self._order), address(given), address(values))
+
+    def keep(self, places: Ints) -> None:
+        """Outer forces stay as they are, but at some places (k,): steps need not read those that are 0."""
+        acts = self.e != 0.0
+        acts[places] = True
+        before = np.concatenate([[0], np.cumsum(acts.reshape(-1, 2).any(axis=1))])
+        top = self._sweep[1]
+        self._quiet[:] = before[top] == before[np.concatenate([[0], top[:-1]])]
 
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
@@ -234,7 +255,15 @@ class Cells:
             return 0.0
         begun = int(self._sweep[1][first - 1]) if first else 0
         starts = [start + 4 * first for start in self._starts]  # of whole numbers of 4 bytes
+        starts.append(address(self._quiet) + first)
         return float(self._loops.fracflow_sweep(last - first, begun, *starts, *self._data, kick, drift, *self._motion))
+
+    def given(self) -> dict[str, int] | None:
+        """Counts and addresses by their names in ``steps.c``; None on several ranks."""
+        if self._way is not None:
+            return None
+        arrays = dict(zip(OF_SWEEP, [*self._starts, address(self._quiet), *self._data, *self._motion], strict=True))
+        return {"ranges": len(self._sweep[1]), "a_rock": address(self.a), **arrays}
 
     def destroy(self) -> None:
         """Free the way between ranks. Collective."""
@@ -275,6 +304,9 @@ class AssembledRock:
         """Read the local values of a vector into one of the arrays (n,)."""
         values[:] = vector.getArray(readonly=True)
 
+    def keep(self, places: Ints) -> None:
+        """Nothing for the places (k,): the matrix costs more."""
+
     def start(self, dt: float) -> None:
         """From an instant to the middle of the next step: v += dt a/2, u += dt v."""
         self.v += 0.5 * dt * self.a
@@ -305,6 +337,10 @@ class AssembledRock:
         np.subtract(self.e, self._ku, out=self.f)
         self.v += kick * self._w * self.f
         self.u += drift * self.v
+
+    def given(self) -> dict[str, int] | None:
+        """None: it has no loops."""
+        return None
 
     def destroy(self) -> None:
         """Free the matrix. Collective."""

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import PETSc, destroy, sum_over_ranks
 from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
@@ -20,6 +20,7 @@ from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitModel
+from fracflow.solve.leapfrog.in_a_row import Held, Row, steps_in_a_row
 from fracflow.solve.leapfrog.joint_nodes import Pushed, joint_nodes
 from fracflow.solve.leapfrog.joints import JointSolver, Solved
 from fracflow.solve.leapfrog.nodes import Nodes
@@ -44,6 +45,17 @@ class Leapfrog:
         self.nodes = Nodes(explicit.operators, scene, loads, explicit.damping)
         self.joints = JointSolver(explicit.operators, explicit.sections.clusters, scene.accuracy.max_iterations)
         self.run = Run(self.nodes)
+        self._row = steps_in_a_row(self.nodes, self.run.passes, self.joints.guess)
+
+    def in_a_row(self, count: int, hold: bool) -> Row | None:
+        """Up to ``count`` steps from the run's, the last of them up to an instant; None where loops do not take any.
+
+        hold  keeps all statuses, which the loops do not
+        """
+        row = None if self._row is None or hold else self._row.take(self.run.held, self.run.base, self.run.dt, count)
+        if row is not None:
+            self.run.go_on(row)
+        return row
 
     def joints_at_end(self, free: Floats, request: StepRequest) -> Solved:
         """Joints without a fluid at the end of a step, from their free motion (s, dim). Raises NotConverged. Collective."""
@@ -163,6 +175,7 @@ class Run:
         self.loaded = np.setdiff1d(np.flatnonzero(self.constant), changes)
         np.subtract(self.constant, nodes.prestress, out=self.rock.e)
         self.base = self.rock.e[nodes.places_forced]
+        self.rock.keep(nodes.places_forced)
         constant.destroy()
 
     def _rock_sums(self, sums: Sums) -> RockSums:
@@ -198,6 +211,22 @@ class Run:
         if len(nodes.held):
             self.old_held_at, self.held_at = self.held_at, nodes.prescribed(lambda part: part.value(time, AT_ONCE))
             moved[nodes.at_held] = self.held_at - self.old_held_at
+
+    @property
+    def held(self) -> Held:
+        """Values of the last step with which the next one begins, where nothing is held."""
+        return Held(self.sections, self.friction, self.a, self.resisting, self.damped)
+
+    def go_on(self, row: Row) -> None:
+        """Take over steps in a row."""
+        balance = self.balance
+        self.sections, self.friction, self.a, resisting, damped = row.held
+        self.resisting, self.damped, self.total = dict(resisting), dict(damped), self.sections.traction
+        self.rock.energy = row.energy
+        balance.scheme += row.scheme
+        balance.joints += row.joints
+        for name, work in row.taken.items():
+            self._take(name, work)
 
     def free_strain(self) -> Floats:
         """Changes of the strains (s, dim) of the joints by that. Collective."""
@@ -375,7 +404,7 @@ class Run:
             "scheme": balance.scheme + scheme_energy(self.dt, before.pushed, after.pushed),
             "work_boundaries": balance.boundaries + after.constant - before.constant,
         }
-        values = nodes.operators.layout.comm.allreduce(np.concatenate([list(here.values()), balance.joints]))
+        values = sum_over_ranks(np.concatenate([list(here.values()), balance.joints]), nodes.operators.layout.comm)
         total = dict(zip(here, values.tolist(), strict=False))
         parts = {name: value for name, value in total.items() if not name.startswith("taken ")}
         parts |= joint_parts(values[len(here) :])

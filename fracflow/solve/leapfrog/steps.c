@@ -1,0 +1,158 @@
+/* Explicit steps in a row on one rank, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a
+   compiled answer, sides of dashpots and one damping; nothing is held, and no load changes. */
+#include "loops.h"
+#include <math.h>
+#include <string.h>
+
+/* As ``in_a_row.Given`` has it: 8 bytes each. Arrays in pairs are those before a step and after it, which change places. */
+typedef struct {
+  int64_t sections, every, forced, pushed, own, both, ranges, batches, terms, damped;
+  int64_t is_coupled, has_path, most, most_changes;
+  double dt, share, most_pressed;
+  /* the rock, as in rock.c */
+  const int32_t *node, *top, *of_three, *of_four, *oblique, *triangles, *quads;
+  const uint8_t *quiet;
+  const uint16_t *rock_three, *rock_four;
+  const double *moduli, *x, *inverse;
+  double *e, *u, *v, *f;
+  /* nodes of joints, as in nodes.c; ``accelerations`` (p,) of what they push */
+  const int32_t *starts, *at, *to;
+  const double *entries, *weights, *inverse_pushed;
+  const int32_t *of_pushed;
+  const int64_t *places, *places_forced, *places_pushed;
+  double *moved, *free, *sizes, *force, *added, *scratch, *forces;
+  const double *base;
+  double *accelerations[2];
+  /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and their members, and addresses of both arrays of a batch */
+  const double *laws;
+  double *before, *found;
+  const int64_t *shapes, *const *rows;
+  const double *const *compliance;
+  double *strain[2], *values[2], *record[2], *blur[2], *friction;
+  int8_t *statuses[2];
+  /* nodes with dashpots: places of unknowns (o,) among all, in the rock, and pairs (b, 2) of pushed ones and them that are the
+     same; blocks (o/2, 4) of (M + dt/2 C)^-1 and of each C; forces (o,) of each C */
+  const int64_t *at_own, *places_own, *shared;
+  const double *inverse_own;
+  const double *const *dashpots;
+  double *const *resisting, *u_own, *a_own, *a_rock;
+  /* a matrix of damping, as in nodes.c, whose unknowns come first of all; its forces */
+  const int32_t *damping_starts, *damping_columns;
+  const double *damping;
+  double *damped_forces[2];
+  /* sums over the steps: (5,) of joints, the scheme, damping, each C; strain energy at the last one */
+  double *of_joints, scheme, of_damping, *of_terms, energy;
+  double iterations, left;
+} steps;
+
+static void swap(double **pair) {
+  double *kept = pair[0];
+  pair[0] = pair[1], pair[1] = kept;
+}
+
+/* Sections at the end of a step into the second of each pair; 0 where the loops have no answer, or one is pressed too much. */
+static int joints_balance(steps *s) {
+  const int64_t n = s->sections;
+  double *was = s->values[0], *is = s->values[1], largest[2];
+  int32_t iterations = 0;
+  fracflow_before((int32_t)n, s->free, s->strain[0], was, was + 2 * n, was + 12 * n, was + 13 * n,
+                  s->has_path ? was + 14 * n : 0, s->before);
+  for (int64_t k = 0; k < s->batches; k++) {
+    const int32_t done = fracflow_joints((int32_t)s->shapes[2 * k], (int32_t)s->shapes[2 * k + 1], s->rows[k], s->compliance[k],
+                                         s->share, s->laws, s->before, (int32_t)s->most, (int32_t)s->most_changes, s->found,
+                                         (int32_t)n, (int32_t)s->is_coupled, is, s->statuses[1]);
+    if (done < 0) return 0;
+    if (done > iterations) iterations = done;
+  }
+  for (int64_t i = 0; i < n; i++)
+    if (!(-is[2 * i + 1] <= s->most_pressed)) return 0;
+  fracflow_after((int32_t)n, s->before, s->found, s->strain[1], largest);
+  const double left = largest[0] > 0.0 ? largest[1] / largest[0] : 0.0;
+  s->iterations += iterations, s->left = left > s->left ? left : s->left;
+  return 1;
+}
+
+/* Joints push by what their tractions change, and their work counts. */
+static void joints_push(steps *s) {
+  const int64_t n = s->sections;
+  const double *was = s->values[0], *is = s->values[1];
+  fracflow_pull((int32_t)n, (int32_t)s->pushed, s->starts, s->at, s->to, s->entries, s->weights, was, is, s->inverse_pushed,
+                s->share, s->of_pushed, s->scratch, s->force, s->added, s->moved, s->sizes);
+  fracflow_work((int32_t)n, s->weights, was, s->strain[0], was + 6 * n, was + 8 * n, s->record[0], s->blur[0], is, s->strain[1],
+                is + 6 * n, is + 8 * n, s->sizes, s->record[1], s->blur[1], s->friction, s->of_joints);
+  swap(s->strain), swap(s->values), swap(s->record), swap(s->blur);
+  int8_t *kept = s->statuses[0];
+  s->statuses[0] = s->statuses[1], s->statuses[1] = kept;
+}
+
+#define TIMES(row, block, x, y) ((block)[2 * (row)] * (x) + (block)[2 * (row) + 1] * (y))
+
+/* Nodes with dashpots, whose velocities the sweep has left as they were. */
+static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
+  for (int64_t i = 0; i < s->own; i += 2) {
+    const int64_t p = s->places_own[i], q = s->places_own[i + 1];
+    const double x = s->v[p], y = s->v[q], *inverse = s->inverse_own + 2 * i;
+    double rx = 0.0, ry = 0.0;
+    for (int64_t t = 0; t < s->terms; t++) {
+      const double *block = s->dashpots[t] + 2 * i;
+      rx += TIMES(0, block, x, y), ry += TIMES(1, block, x, y);
+    }
+    const double fx = s->f[p] - rx, fy = s->f[q] - ry, ax = TIMES(0, inverse, fx, fy), ay = TIMES(1, inverse, fx, fy);
+    const double sx = x + 0.5 * s->dt * ax, sy = y + 0.5 * s->dt * ay;
+    const double mx = s->moved[s->at_own[i]], my = s->moved[s->at_own[i + 1]];
+    for (int64_t t = 0; t < s->terms; t++) {
+      const double *block = s->dashpots[t] + 2 * i;
+      double *resisting = s->resisting[t] + i;
+      const double nx = TIMES(0, block, sx, sy), ny = TIMES(1, block, sx, sy);
+      s->of_terms[t] += 0.5 * ((resisting[0] + nx) * mx + (resisting[1] + ny) * my);
+      resisting[0] = nx, resisting[1] = ny;
+    }
+    const double vx = x + kick * ax, vy = y + kick * ay;
+    s->v[p] = vx, s->v[q] = vy, s->a_own[i] = ax, s->a_own[i + 1] = ay;
+    if (is_last)
+      s->a_rock[p] = ax, s->a_rock[q] = ay;
+    else
+      s->u[p] = s->u_own[i] + drift * vx, s->u[q] = s->u_own[i + 1] + drift * vy;
+  }
+  for (int64_t k = 0; k < s->both; k++) s->accelerations[1][s->shared[2 * k]] = s->a_own[s->shared[2 * k + 1]];
+}
+
+/* Forces at the end of a step, and the motion of all nodes on to the middle of the next. */
+static void all_move(steps *s, int is_last) {
+  const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
+  const int32_t pushed = (int32_t)s->pushed, n = (int32_t)s->sections;
+  fracflow_put(pushed, 1, s->places_pushed, s->added, s->u);
+  memcpy(s->forces, s->base, sizeof(double) * (size_t)s->forced);
+  fracflow_resist(n, s->starts, s->at, s->entries, s->weights, s->values[0], s->forces);
+  if (s->damped) {
+    s->of_damping += 0.5 * fracflow_damp((int32_t)s->damped, s->damping_starts, s->damping_columns, s->damping, 1.0 / s->dt,
+                                         s->moved, s->damped_forces[0], s->damped_forces[1], s->forces);
+    swap(s->damped_forces);
+  }
+  fracflow_put((int32_t)s->forced, 0, s->places_forced, s->forces, s->e);
+  for (int64_t i = 0; i < s->own; i++) s->u_own[i] = s->u[s->places_own[i]];
+  s->energy = 0.5 * fracflow_sweep((int32_t)s->ranges, 0, s->node, s->top, s->of_three, s->of_four, s->oblique, s->quiet,
+                                   s->triangles, s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick,
+                                   drift, s->u, s->v, s->f);
+  fracflow_accelerate(pushed, s->places_pushed, s->inverse_pushed, s->f, s->accelerations[1]);
+  own_nodes_move(s, kick, drift, is_last);
+  const double gain = fracflow_gain(pushed, s->inverse_pushed, s->force, s->accelerations[0], s->accelerations[1]);
+  s->scheme += 0.125 * (s->dt * s->dt) * gain;
+  swap(s->accelerations);
+}
+
+/* Up to ``count`` steps, and how many there were: one that joints need the laws for is not begun. The last of them all ends at
+   an instant where ``ends``. */
+int64_t fracflow_steps(steps *s, int64_t count, int32_t ends) {
+  for (int64_t k = 0; k < count; k++) {
+    fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);
+    fracflow_jumps((int32_t)s->sections, s->starts, s->at, s->entries, s->moved, s->free);
+    memset(s->force, 0, sizeof(double) * (size_t)s->pushed), memset(s->added, 0, sizeof(double) * (size_t)s->pushed);
+    if (s->sections) {
+      if (!joints_balance(s)) return k;
+      joints_push(s);
+    }
+    all_move(s, ends && k == count - 1);
+  }
+  return count;
+}
