@@ -11,10 +11,10 @@ from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
 from fracflow.errors import MOST_NAMED, SolveError
 from fracflow.integrators import Alphas
-from fracflow.mesh.data import Bools, Floats
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
-from fracflow.model.network_parts import NetworkComponent, NetworkComponents, conducting, holding, leaving
+from fracflow.model.network_parts import CONDUCTS, FIRM, NetworkComponent, NetworkComponents, beside, holding, leaving
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.model.terms.term import TermStep
@@ -31,15 +31,17 @@ AGREES = 1e-6  # of the sizes of flow rates and wall motions: the balance that t
 
 FAINT = 1e-6
 """Of what a node conducts: where all that a part stores is less, sums of its balances keep fewer than ten digits."""
+STRONG = 1e-3
+"""Of what the node that conducts most does: a sum takes the place of the balance at such a node, which others imply."""
 
 
 @dataclass(frozen=True)
 class _Closed:
     """Loads with the undrained components closed, and the wells of each.
 
-    gives   (k,) parts whose walls change their volume
-    stores  (k,) parts whose level storage alone settles
-    given   (k,) prescribed pressures of each part that stores
+    gives   (k,) firm parts whose walls change their volume
+    stores  (k,) firm parts in which nothing but storage settles a level
+    given   (k,) prescribed pressures of each firm part that stores
     is_any  whether there is a part of either kind, on any rank
     """
 
@@ -71,9 +73,10 @@ class FlowNetwork:
         self._logged: Bools | None = None
         self._has_logged_digits = False
         self._parts: NetworkComponents | None = None
+        self._firm: tuple[Bools, NetworkComponents] | None = None  # elements, and parts that they join
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self._summed: dict[tuple[Loads, bool, bool], _Closed] = {}
-        self._little: dict[tuple[Loads, bool, bool], tuple[weakref.ref[StepBegin], Bools]] = {}
+        self._little: dict[tuple[Loads, bool, bool], tuple[weakref.ref[StepBegin], Bools, Ints]] = {}
         self.version = 0
         # weak: a state that is done with is freed, and a new one may have its id
         self._found_at: tuple[weakref.ref[State] | None, int, Conduction | None] = (None, 0, None)
@@ -198,40 +201,40 @@ class FlowNetwork:
     def _by_storage(self, key: tuple[Loads, bool, bool], found: _Closed, begin: StepBegin) -> _Closed:
         """The same with the balances of the parts summed that store next to nothing in a step. Collective."""
         comm, last = self.model.operators.layout.comm, self._summed.get(key)
-        known, little = self._little.get(key, (lambda: None, found.gives))
+        known, little, roots = self._little.get(key, (lambda: None, found.gives, found.gives.astype(np.int64)))
         if known() is not begin:
-            little = (found.stores | (found.given > 0.0)) & self._store_little(found.gives, begin)
-            self._little[key] = weakref.ref(begin), little
+            little, roots = self._store_little(found.gives, begin)
+            little &= found.stores | (found.given > 0.0)
+            roots = np.where(little & found.stores, roots, -1)
+            self._little[key] = weakref.ref(begin), little, roots
         if not comm.allreduce(bool(little.any()), op=MPI.LOR):
             return found
-        is_same = last is not None and last.loads.faint is not None and np.array_equal(last.loads.faint.faint, little)
+        faint = None if last is None else last.loads.faint
+        is_same = faint is not None and np.array_equal(faint.faint, little) and np.array_equal(faint.roots, roots)
         if last is None or not comm.allreduce(is_same, op=MPI.LAND):
             if last is not None:
                 destroy(last.loads.summed)
                 self.version += 1
-            last = self._summed[key] = self._with_sums(found, little)
+            last = self._summed[key] = self._with_sums(found, little, roots)
         return last
 
-    def _with_sums(self, found: _Closed, little: Bools) -> _Closed:
-        """The same by which of its parts (k,) store next to nothing. Collective."""
-        comm, parts = self.model.operators.layout.comm, self._parts
-        assert parts is not None
-        chosen, summed = found.stores & little, None
-        if comm.allreduce(bool(chosen.any()), op=MPI.LOR):
-            summed = sum_balances(self.model.operators, parts, chosen, found.gives)
-        faint = FaintParts(parts, little, found.given)
+    def _with_sums(self, found: _Closed, little: Bools, roots: Ints) -> _Closed:
+        """The same by which of its firm parts (k,) store next to nothing, and the roots (k,) of sums. Collective."""
+        summed, parts = None, self._firm_parts
+        if self.model.operators.layout.comm.allreduce(bool((roots >= 0).any()), op=MPI.LOR):
+            summed = sum_balances(self.model.operators, parts, roots, found.gives)
+        faint = FaintParts(parts, little, found.given, roots)
         return replace(found, loads=replace(found.loads, summed=summed, faint=faint))
 
-    def _store_little(self, gives: Bools, begin: StepBegin) -> Bools:
-        """Parts (k,) that store less in a step than the round-off of what they conduct. Collective.
+    def _store_little(self, gives: Bools, begin: StepBegin) -> tuple[Bools, Ints]:
+        """Firm parts (k,) that store less in a step than the round-off of what they conduct, and roots (k,). Collective.
 
         Walls give at least as much as one joint and the rock beside it do, each L wide, between walls that are held.
         """
         state, alphas = begin.state, begin.alphas
         last, _, known = self._found_at
         conduction = known if known is not None and last is not None and last() is state else self._conduction(state)
-        ops, parts = self.model.operators, self._parts
-        assert parts is not None
+        ops, parts = self.model.operators, self._firm_parts
         network, ends, count = ops.network, parts.ends, len(parts.roots)
         normal = state.sections.tangent[:, -1, -1].reshape(-1, ops.joints.points).max(axis=1, initial=0.0)
         resists = normal * network.length + ops.scales.stiffness
@@ -242,7 +245,10 @@ class FlowNetwork:
         stores = parts.summed(np.bincount(ends.ravel(), stored.ravel(), count))
         sent, largest = network.at_nodes(np.repeat(conduction.conductance[:, None], 2, axis=1)), np.zeros(count)
         np.maximum.at(largest, parts.own, sent)
-        return np.asarray(stores < FAINT * parts.largest(largest))
+        largest = parts.largest(largest)
+        strong, roots = np.flatnonzero(sent >= STRONG * largest[parts.own]), np.full(count, -np.inf)
+        np.maximum.at(roots, parts.own[strong], -(self._first + strong.astype(float)))
+        return np.asarray(stores < FAINT * largest), -parts.largest(roots).astype(np.int64)
 
     def update(self, state: State) -> None:
         """Find the components at a state, if they are not those that were found last. Collective."""
@@ -261,17 +267,26 @@ class FlowNetwork:
     def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts
-        now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
-        same = before is not None and np.array_equal(before, now), np.array_equal(self._holds, holds)
-        conduct, hold = (operators.layout.comm.allreduce(each, op=MPI.LAND) for each in same)
-        if conduct and hold:
+        size, holds = beside(operators, conduction.conductance), holding(operators, conduction.compression)
+        now, firm = (conduction.conductance > least * size for least in (CONDUCTS, FIRM))
+        is_firm = self._firm is not None and np.array_equal(self._firm[0], firm)
+        same = before is not None and np.array_equal(before, now), is_firm, np.array_equal(self._holds, holds)
+        conduct, is_firm, hold = (operators.layout.comm.allreduce(each, op=MPI.LAND) for each in same)
+        if conduct and is_firm and hold:
             return
         self._forget()
         self.version += 1
         self._conducts, self._holds = now, holds
-        if not conduct or self._parts is None:
+        if not conduct or not is_firm:
             self._free_parts()
             self._parts = NetworkComponents(operators, now)
+            is_one = operators.layout.comm.allreduce(np.array_equal(now, firm), op=MPI.LAND)
+            self._firm = firm, self._parts if is_one else NetworkComponents(operators, firm)
+
+    @property
+    def _firm_parts(self) -> NetworkComponents:
+        assert self._firm is not None
+        return self._firm[1]
 
     def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
@@ -337,14 +352,16 @@ class FlowNetwork:
         if not stores or at_start:
             nothing = np.zeros(len(gives))
             return _Closed(closes, tuple(closed), gives, nothing > 0.0, nothing, False)
-        by_storage, given = settled & ~parts.any_of(drained), self._given(loads) * (holds | gives)
+        firm, at_nodes = self._firm_parts, settled[parts.own]
+        gives = gives if firm is parts else change_volume(operators, firm, loads.fixed_solid)
+        has = gives | firm.any_of(self._holds)
+        by_storage, given = has & firm.any_of(at_nodes) & ~firm.any_of(drained), self._given(loads) * has
         is_any = operators.layout.comm.allreduce(bool(by_storage.any() or given.any()), op=MPI.LOR)
         return _Closed(closes, tuple(closed), gives, by_storage, given, is_any)
 
     def _given(self, loads: Loads) -> Floats:
-        """Prescribed pressures in each part (k,). Collective."""
-        parts, layout = self._parts, self.model.operators.layout
-        assert parts is not None
+        """Prescribed pressures in each firm part (k,). Collective."""
+        parts, layout = self._firm_parts, self.model.operators.layout
         given = np.isin(layout.flow_numbers(self._first + np.arange(layout.flow_count)), loads.fixed_flow)
         return parts.summed(np.bincount(parts.own[given], minlength=len(parts.roots)))
 
@@ -387,9 +404,9 @@ class FlowNetwork:
         self._conducts = None
 
     def _free_parts(self) -> None:
-        if self._parts is not None:
-            self._parts.destroy()
-        self._parts = None
+        firm = None if self._firm is None or self._firm[1] is self._parts else self._firm[1]
+        destroy(self._parts, firm)
+        self._parts = self._firm = None
 
     def _forget(self) -> None:
         destroy(*(found.loads.summed for found in self._summed.values()))

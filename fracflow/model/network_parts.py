@@ -18,6 +18,8 @@ from fracflow.model.operators import Operators
 CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
 Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
+FIRM = 1e-12
+"""Likewise: flow through an element with less has few digits in balances beside it. Sums of balances do not go beyond it."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,18 @@ class NetworkComponent:
         return f"{names} ({self.count} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
 
 
-def conducting(operators: Operators, conductance: Floats) -> Bools:
-    """Which elements (j,) of this rank conduct. Collective."""
+def beside(operators: Operators, conductance: Floats) -> Floats:
+    """Conductance (j,) of all elements at the ends of each of this rank, itself too; the larger of both ends. Collective."""
     network, nodes = operators.network, operators.layout.flow_vector()
     network.taken_up(np.repeat(conductance, 2), nodes)
-    beside = network.at_ends(nodes).max(axis=1)
+    found: Floats = network.at_ends(nodes).max(axis=1)
     nodes.destroy()
-    return np.asarray(conductance > CONDUCTS * beside)
+    return found
+
+
+def conducting(operators: Operators, conductance: Floats) -> Bools:
+    """Which elements (j,) of this rank conduct. Collective."""
+    return np.asarray(conductance > CONDUCTS * beside(operators, conductance))
 
 
 def holding(operators: Operators, compression: Compression | None) -> Bools:

@@ -191,11 +191,13 @@ class FaintParts:
     that the parts store have all digits. Balances say how much flows, and how much prescribed pressures bring.
 
     count  (k,) prescribed pressures in each
+    roots  (k,) of the sums, as of ``sum_balances``
     """
 
     parts: NetworkComponents
     faint: Bools
     count: Floats
+    roots: Ints
 
     def balanced(self, conduction: Floats, left: Floats, given: Ints) -> Floats:
         """``conduction`` (q,) at this rank's flow nodes, with which their balances are exact [volume rate per thickness].
@@ -224,8 +226,10 @@ def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:
     diagonal.destroy()
 
 
-def sum_balances(operators: Operators, parts: NetworkComponents, chosen: Bools, gives: Bools) -> SummedBalances:
-    """The sums of chosen parts (k,), by whether walls change their volume (k,). The caller owns them. Collective.
+def sum_balances(operators: Operators, parts: NetworkComponents, roots: Ints, gives: Bools) -> SummedBalances:
+    """The sums of parts (k,), by whether walls change their volume (k,). The caller owns them. Collective.
+
+    roots  (k,) numbers of the nodes whose balances they replace, the same on every rank; -1 where there is no sum
 
     The sizes do not depend on a state, since a run that is resumed must have the same.
     """
@@ -233,8 +237,8 @@ def sum_balances(operators: Operators, parts: NetworkComponents, chosen: Bools, 
     first, last = layout.flow_starts[layout.comm.rank : layout.comm.rank + 2]
     sizes = (layout.flow_count, int(layout.flow_starts[-1]))
     to_roots = create_matrix((sizes, sizes), 1, layout.comm)
-    own = np.flatnonzero(chosen[parts.own])
-    add_blocks(to_roots, first + own[:, None], parts.roots[parts.own[own]][:, None], np.ones((len(own), 1, 1)))
+    own = np.flatnonzero(roots[parts.own] >= 0)
+    add_blocks(to_roots, first + own[:, None], roots[parts.own[own]][:, None], np.ones((len(own), 1, 1)))
     to_roots.assemble()
     members = to_roots.transpose(PETSc.Mat())
     to_roots.destroy()
@@ -243,12 +247,11 @@ def sum_balances(operators: Operators, parts: NetworkComponents, chosen: Bools, 
     opened = gives[parts.ends] * half * network.length[:, None] * scales.displacement / scales.force
     volume = scales.pressure * parts.summed(np.bincount(parts.ends.ravel(), (soft + opened).ravel(), len(parts.roots)))
     volume = np.where(volume > 0.0, volume, scales.length * scales.displacement)
-    here = np.flatnonzero(chosen & (parts.roots >= first) & (parts.roots < last))
-    is_its = chosen[parts.ends]
+    here = np.flatnonzero((roots >= first) & (roots < last))
     return SummedBalances(
         members,
-        parts.roots[here] - int(first),
+        roots[here] - int(first),
         volume[here],
-        np.where(is_its, parts.roots[parts.ends], -1),
-        np.where(is_its, volume[parts.ends], 1.0),
+        roots[parts.ends],
+        np.where(roots[parts.ends] >= 0, volume[parts.ends], 1.0),
     )

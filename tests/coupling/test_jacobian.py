@@ -165,13 +165,19 @@ def sealed(model, state, alphas):
     return network, network.close(loads, alphas.a1 > 0.0, StepBegin(state, alphas))
 
 
-@pytest.mark.parametrize("stepper", [Steady(), Newmark(0.3, 0.6)], ids=["keeps", "sums"])
-def test_jacobian_where_a_part_keeps_or_sums_its_fluid(stepper, monkeypatch):
+@pytest.mark.parametrize(
+    "stepper, firm",
+    [(Steady(), 0.0), (Newmark(0.3, 0.6), 0.0), (Newmark(0.3, 0.6), 0.3)],
+    ids=["keeps", "sums", "passes"],
+)
+def test_jacobian_where_a_part_keeps_or_sums_its_fluid(stepper, firm, monkeypatch):
     """A compressible fluid that nothing drains: a row with the walls and the pressures of the whole part.
 
     In a steady step it keeps the fluid; in one that stores next to nothing it is the sum of all balances, with what leaves.
+    Flow from one such part to another is in both sums.
     """
     monkeypatch.setattr("fracflow.advance.network.FAINT", np.inf)
+    monkeypatch.setattr("fracflow.advance.network.FIRM", firm)
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared, random = prepare(scene, MPI.COMM_WORLD), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
     alphas, before = stepper.alphas(1e-3), prepared.operators
@@ -182,6 +188,8 @@ def test_jacobian_where_a_part_keeps_or_sums_its_fluid(stepper, monkeypatch):
     network, closed = sealed(prepared, state, alphas)
     assert {closure.by for closure in closed.closures} == (set() if alphas.a1 > 0.0 else {"fluid"})
     assert (closed.summed is None) == (alphas.a1 == 0.0)
+    joining = 0 if closed.summed is None else int(closed.summed.is_joining.sum())
+    assert (MPI.COMM_WORLD.allreduce(joining) > 0) == (firm > 0.0)
     problem = StepProblem(operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(alphas))
     check_around(scene, problem, random)
     problem.destroy()

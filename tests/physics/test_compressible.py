@@ -92,6 +92,28 @@ def test_what_a_pinched_element_conducts_is_in_the_balance_of_its_parts_however_
     closes(history)
 
 
+@pytest.mark.parametrize("share", [1.5e-15, 1e-14, 1e-11])
+@pytest.mark.parametrize("chain", [(np.nan, 1e-2, 1e2, 1e6), (1e6, 1e3, np.nan), (1e6, np.nan, 1e6, 1e6)])
+def test_a_weak_link_passes_what_it_conducts_however_long_the_step(shared_tmp, chain, share):
+    """Its flow has no digits in the balances beside it: these are summed up to it, in place of one that others imply."""
+    x, chain = np.arange(len(chain) + 1.0), np.array(chain)
+    link = int(np.argmax(np.isnan(chain)))
+    chain[link] = share * np.nanmax(chain[max(link - 1, 0) : link + 2])
+    along, value = np.sort([*(x[:-1] + 1e-3), *(x[1:] - 1e-3)]).tolist(), np.repeat(chain, 2).tolist()
+    text = STIFF.format(pressure=0).replace("conductance = 1", f"conductance = {{along = {along}, value = {value}}}")
+    text += "".join((PROBE % at).replace("far", f"at {at}") for at in x)
+    text += INFLOW.replace('{fracture = "film", end = "start"}', "[2, 0]").replace("0.3", f"{chain[link]}")
+    history, _ = winkler.ran(shared_tmp, x, text + stage("quasi-static", 1.0 / chain[link], 1))
+    p = np.array([history[f"probe/at {at}/pressure"][-1] for at in x])
+    stored = 10.0 * np.convolve(np.diff(x), [0.5, 0.5], "full") * np.expm1(0.1 * p)
+    passed = (p[link + 1] - p[link]) if link < 2 else (p[link] - p[link + 1])
+    behind = stored[: link + 1] if link < 2 else stored[link + 1 :]
+    assert behind.sum() == pytest.approx(passed, rel=1e-9) and passed > 0.05
+    assert stored.sum() == pytest.approx(1.0, rel=1e-11)
+    assert not history["step/rejected"].any() and history["step/newton"].max() <= 6
+    closes(history)
+
+
 OUTLET = '[[well]]\nname = "out"\nat = {fracture = "film", end = "end"}\npressure = [[0, 0], [%g, 0.1]]\n'
 
 
