@@ -136,8 +136,8 @@ class StepsInARow:
         (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
         after = Answers(np.empty_like(before.values), np.empty_like(before.statuses))
         damped_forces = (np.zeros(self._places), np.zeros(self._places))
-        for values in held.damped.values():
-            damped_forces[0][: len(values)] = values
+        for damped_before in held.damped.values():
+            damped_forces[0][: len(damped_before)] = damped_before
         pairs: dict[str, tuple[Floats, Floats]] = {
             "values": (before.values, after.values),
             "strain": _and_new(strain),
@@ -203,7 +203,7 @@ class StepsInARow:
             answers = self._friction.answers(*known, sections.history[0])
         if self._others is None:
             return sections.strain, answers
-        own = np.hstack([sections.strain, *(part.reshape(count, -1) for part in _parts(answers.values, count))])
+        own = np.hstack([sections.strain, *_parts(answers.values, count)])
         rows = np.vstack([own, self._others.sections.there(own)])
         values = np.concatenate([rows[:, 2 + first : 2 + last].ravel() for first, last in pairwise(COLUMNS)])
         return rows[:, :2], Answers(values, np.zeros((2, len(rows)), dtype=bool))
@@ -213,8 +213,8 @@ class StepsInARow:
         if self._others is None:
             return answers
         parts, count = _parts(answers.values, self._others.count), self._count
-        values = [part.reshape(self._others.count, -1)[:count].ravel() for part in parts]
-        return Answers(np.concatenate(values), answers.statuses[:, :count].copy())
+        values = np.concatenate([part[:count].ravel() for part in parts])
+        return Answers(values, answers.statuses[:, :count].copy())
 
     def destroy(self) -> None:
         """Free the ways between ranks. Collective."""
@@ -256,8 +256,8 @@ def steps_in_a_row(
 
 
 def _parts(values: Floats, count: int) -> list[Floats]:
-    """Answers of so many sections, by their columns."""
-    return [values[count * first : count * last] for first, last in pairwise(COLUMNS)]
+    """Answers of so many sections, by their columns: (n, k) each."""
+    return [values[count * first : count * last].reshape(count, last - first) for first, last in pairwise(COLUMNS)]
 
 
 def _and_new(values: Floats) -> tuple[Floats, Floats]:
