@@ -125,9 +125,9 @@ def _symmetric(matrix: LocalMatrix) -> SymmetricDamping | None:
 
 
 def half_of(whole: sparse.csr_matrix) -> tuple[Ints, Ints, Floats] | None:
-    """Starts, columns and blocks of two nodes on and right of the diagonal of a matrix (n, n + g), symmetric in its first n.
+    """Starts, columns and blocks of two nodes on and right of the diagonal of a matrix (n, n + g).
 
-    None where nothing was compiled, or it is not.
+    None where nothing was compiled, or its first columns (n, n) are not symmetric.
     """
     count, first = whole.shape[0], whole[:, : whole.shape[0]]
     largest = np.abs(whole.data).max(initial=0.0)

@@ -79,7 +79,7 @@ class Beyond:
 
 
 def beyond(nodes: Nodes, guess: JointGuess | None, damping: list[PETSc.Mat], others: bool) -> Beyond | None:
-    """None where loops do not serve on all ranks; ``others`` tells that more acts here than they have. Collective."""
+    """None where loops do not serve on all ranks; ``others``: more acts here than they have. Collective."""
     joints, layout, comm = nodes.operators.joints, nodes.operators.layout, nodes.operators.layout.comm
     law, rock = joints.copy_of_law if len(joints.weights) else None, nodes.rock
     lacks = others or guess is None or not isinstance(rock, Cells) or len(nodes.bodies) > 0 or not shares_columns(nodes)
