@@ -1,6 +1,9 @@
 """Explicit steps of a fault in a corner: most ranks have no joint, and nothing that damps."""
 
+from copy import deepcopy
+
 import numpy as np
+import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
@@ -28,10 +31,18 @@ SCENE = {
     "probe": [{"name": "fault", "at": [200, 200], "on": "fault"}],
     "stage": [{"kind": "dynamic", "time_step": 5e-4, "steps": 40}],
 }  # fmt: skip
+PATCH = [9.5e6, 9.5e6, 10.3e6, 10.3e6, 9.5e6, 9.5e6]  # strength is 10.1e6
 
 
-def test_ranks_without_joints_take_explicit_steps(shared_tmp, comm):
-    scene = Scene.from_data(SCENE, shared_tmp / "scene.toml")
+@pytest.mark.parametrize("is_pressed", [True, False], ids=["pressed", "in a row"])
+def test_ranks_without_joints_take_explicit_steps(shared_tmp, comm, is_pressed):
+    """Under a pressure that changes, and without, where loops take steps in a row: then the fault slips from the start."""
+    data = deepcopy(SCENE)
+    if not is_pressed:
+        del data["fracture"]["fault"]["pressure"], data["fluid"]
+        data["initial_stress"]["unbalanced"] = "carried"
+        data["fracture"]["fault"]["initial_shear_traction"] = {"along": [0, 40, 41, 100, 101, 142], "value": PATCH}
+    scene = Scene.from_data(data, shared_tmp / "scene.toml")
     run(scene, shared_tmp / "all", comm)
     if comm.rank == 0:
         run(scene, shared_tmp / "alone", MPI.COMM_SELF)

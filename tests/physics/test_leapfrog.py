@@ -317,23 +317,71 @@ def test_compiled_passes_are_those_of_numpy(scene):
         assert np.abs(one - other).max() <= 1e-13 * np.abs(other).max() and np.abs(other).max() > 0.0
 
 
-def test_ranks_agree(scene, shared_tmp):
+def without_supports(scene):
+    """A scene whose steps the loops take in a row, beside the other; for one rank to write."""
+    kept = [each for each in re.split(r"\n(?=\[)", SCENE) if not each.startswith("[[support]]") and "[[[0" not in each]
+    longer = "\n".join(kept).replace("12e-3", "30e-3").replace("end = 0.09", "end = 0.3")
+    file = scene.with_name("rupture.toml")
+    file.write_text(re.sub(r"(?m)^wave = .*\n", "", longer))
+    return file
+
+
+@pytest.fixture
+def taken(monkeypatch):
+    """How many steps loops are to take in a row, and how many they do, each time."""
+    found, take = [], StepsInARow.take
+
+    def counted(self, held, base, dt, count):
+        row = take(self, held, base, dt, count)
+        found.append((count, row.done if row is not None else 0))
+        return row
+
+    monkeypatch.setattr(StepsInARow, "take", counted)
+    return found
+
+
+def stop(step):
+    if step.state.time > 0.05:
+        raise KeyboardInterrupt
+
+
+def test_ranks_agree(scene, shared_tmp, taken, monkeypatch):
+    """With all that acts, and where loops take all steps in a row, or stop on one rank before the others would."""
     comm = MPI.COMM_WORLD
-    run(load(scene), shared_tmp / "all", comm)
     if comm.rank == 0:
-        run(load(scene), shared_tmp / "one", MPI.COMM_SELF)
-        assert_alike(shared_tmp / "one", shared_tmp / "all", 1e-12)
+        without_supports(scene)
+        for name in ("scene", "rupture"):
+            run(load(scene.with_name(f"{name}.toml")), shared_tmp / f"{name} one", MPI.COMM_SELF)
+    comm.barrier()
+    taken.clear()
+    file = scene.with_name("rupture.toml")
+    run(load(file), shared_tmp / "rupture all", comm)
+    assert library() is None or (taken and all(count == done > 1 for count, done in taken))
+    with pytest.raises(KeyboardInterrupt):
+        run(load(file, ["output.checkpoint_every=1"]), shared_tmp / "parts", comm, progress=stop)
+    resume(shared_tmp / "parts", comm)
+    taken.clear()
+    monkeypatch.setattr(
+        StepsInARow, "_most_pressed", lambda self, sections: -1.0000001 * sections.traction[:, 1].min(initial=0.0)
+    )
+    run(load(file), shared_tmp / "rupture mixed", comm)
+    assert library() is None or any(done < count for count, done in taken)
+    assert len(set(comm.allgather(tuple(taken)))) == 1
+    run(load(scene), shared_tmp / "scene all", comm)
+    if comm.rank == 0:
+        for name in ("scene all", "rupture all", "rupture mixed"):
+            assert_alike(shared_tmp / f"{name.split()[0]} one", shared_tmp / name, 1e-12)
+        whole, parts = (read_history(shared_tmp / name / "history.h5") for name in ("rupture all", "parts"))
+        for name, values in whole.items():
+            assert np.array_equal(values, parts[name], equal_nan=True), name
+        largest = max(np.abs(values).max() for name, values in whole.items() if name.startswith("energy/"))
+        assert np.abs(whole["energy/residual"]).max() < 1e-10 * largest
     comm.barrier()
 
 
 @pytest.mark.serial
 def test_goes_on_to_the_bit(scene, tmp_path):
     run(load(scene), tmp_path / "whole", MPI.COMM_SELF)
-
-    def stop(step):
-        if step.state.time > 0.05:
-            raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
         run(load(scene, ["output.checkpoint_every=1"]), tmp_path / "parts", MPI.COMM_SELF, progress=stop)
     resume(tmp_path / "parts", MPI.COMM_SELF)
@@ -344,24 +392,9 @@ def test_goes_on_to_the_bit(scene, tmp_path):
 
 @pytest.mark.serial
 @pytest.mark.skipif(library() is None, reason="loops are not compiled here")
-def test_steps_in_a_row(scene, tmp_path, monkeypatch):
+def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     """They are those that Python takes one by one, also where they stop for some of these, and go on to the bit."""
-    file = scene.with_name("rupture.toml")
-    kept = [each for each in re.split(r"\n(?=\[)", SCENE) if not each.startswith("[[support]]") and "[[[0" not in each]
-    longer = "\n".join(kept).replace("12e-3", "30e-3").replace("end = 0.09", "end = 0.3")
-    file.write_text(re.sub(r"(?m)^wave = .*\n", "", longer))
-    taken, take = [], StepsInARow.take
-
-    def counted(self, held, base, dt, count):
-        row = take(self, held, base, dt, count)
-        taken.append((count, row.done if row is not None else 0))
-        return row
-
-    def stop(step):
-        if step.state.time > 0.05:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(StepsInARow, "take", counted)
+    file = without_supports(scene)
     run(load(file), tmp_path / "rows", MPI.COMM_SELF)
     assert taken and all(count == done > 1 for count, done in taken)
     with pytest.raises(KeyboardInterrupt):

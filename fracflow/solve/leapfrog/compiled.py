@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 6  # of the functions' arguments, as in rock.c
+VERSION = 7  # of the functions' arguments, as in rock.c
 _INT, _LONG, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 14, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -38,7 +38,8 @@ _FUNCTIONS = {
     "fracflow_gain": (_REAL, (_INT, *[_ARRAY] * 4)),
     "fracflow_before": (None, (_INT, *[_ARRAY] * 8)),
     "fracflow_after": (_INT, (_INT, *[_ARRAY] * 4)),
-    "fracflow_steps": (_LONG, (_ARRAY, _LONG, _INT)),
+    "fracflow_steps": (_LONG, (_ARRAY, _LONG)),
+    "fracflow_piece": (None, (_ARRAY, _INT, _INT)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats, Ints
 from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.local import LocalMatrix
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 SYMMETRIC = 1e-14  # of the largest entry: by so much those across the diagonal may differ
 
@@ -117,9 +120,18 @@ def _symmetric(matrix: LocalMatrix) -> SymmetricDamping | None:
 
     starts, columns, entries = matrix.own_rows()
     count = len(matrix.numbers)
-    whole = sparse.csr_matrix((entries, columns, starts), shape=(count, count))
-    largest = np.abs(entries).max(initial=0.0)
-    apart = np.abs((whole - whole.T).data).max(initial=0.0)  # no rank need have any
+    half = half_of(sparse.csr_matrix((entries, columns, starts), shape=(count, count)))
+    return None if half is None else SymmetricDamping(matrix.numbers, *half)
+
+
+def half_of(whole: sparse.csr_matrix) -> tuple[Ints, Ints, Floats] | None:
+    """Starts, columns and blocks of two nodes on and right of the diagonal of a matrix (n, n + g).
+
+    None where nothing was compiled, or its first columns (n, n) are not symmetric.
+    """
+    count, first = whole.shape[0], whole[:, : whole.shape[0]]
+    largest = np.abs(whole.data).max(initial=0.0)
+    apart = np.abs((first - first.T).data).max(initial=0.0)  # no rank need have any
     if library() is None or apart > SYMMETRIC * largest:
         return None
     blocks = whole.tobsr((2, 2))
@@ -130,4 +142,4 @@ def _symmetric(matrix: LocalMatrix) -> SymmetricDamping | None:
     columns = blocks.indices[kept]
     if not (np.diff(starts).all() and np.array_equal(columns[starts[:-1]], np.arange(count // 2))):
         return None
-    return SymmetricDamping(matrix.numbers, starts, columns, blocks.data[kept])
+    return starts, columns, blocks.data[kept]

@@ -58,7 +58,7 @@ class JointGuess:
         """Bring the parameters of the laws to where clusters are solved for. Collective."""
         self.joints, self.clusters, self.most = operators.joints, clusters, most
         count = len(self.joints.weights)
-        self._laws = clusters.exchange.there(_rows(self.joints))
+        self._laws = clusters.exchange.there(rows_of_laws(self.joints))
         self._before, self._found = np.zeros((count, 13)), np.zeros((len(self._laws), 7))
         self._batches = [_Batch(each) for each in clusters.batches]
         self._friction = self.joints.copy_of_law if clusters.exchange.stays else None
@@ -133,7 +133,7 @@ def joint_guess(operators: Operators, clusters: Clusters, most: int) -> JointGue
     return None if lacks else JointGuess(operators, clusters, most)
 
 
-def _rows(joints: Joints) -> Floats:
+def rows_of_laws(joints: Joints) -> Floats:
     """Number of the law, weight and parameters (s, 13) of this rank's sections."""
     rows = np.zeros((len(joints.weights), 2 + len(PARAMETERS)))
     for group in joints.laws:

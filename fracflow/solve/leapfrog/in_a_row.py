@@ -1,7 +1,7 @@
 """Explicit steps in a row by ``steps.c``, without a call of Python between them, where all that acts has compiled loops.
 
-That is rock on one rank, joints whose law has a compiled answer, sides of dashpots, and one term that damps. Where a step needs
-the laws themselves, the loops stop before it.
+That is plain rock, joints whose law has a compiled answer, sides of dashpots, and one term that damps. Where a step needs the
+laws themselves, the loops stop before it. On several ranks a step is a few calls, between which values travel.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from fracflow._petsc import MPI, PETSc
 from fracflow.integrators.explicit import joint_share
 from fracflow.laws.compiled import Answers
 from fracflow.mesh.data import Floats
@@ -21,9 +23,13 @@ from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.guess import JointGuess
 from fracflow.solve.leapfrog.joint_nodes import JointNodes
 from fracflow.solve.leapfrog.nodes import Nodes
+from fracflow.solve.leapfrog.on_ranks import Beyond, beyond
+from fracflow.solve.leapfrog.rock import Cells
 
 _LONG, _REAL, _ARRAY = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _PAIR = _ARRAY * 2
+_JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(6)  # as in steps.c
+COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
 
 
 def _all(names: str, kind: type) -> list[tuple[str, type]]:
@@ -35,12 +41,14 @@ class Given(ctypes.Structure):
 
     _fields_ = [
         *_all("sections every forced pushed own both ranges batches terms damped", _LONG),
+        *_all("sections_all pushed_all ghosts first_ghost early owned whole threes fours", _LONG),
         *_all("is_coupled has_path most most_changes", _LONG),
         *_all("dt share most_pressed", _REAL),
         *_all("node top of_three of_four oblique triangles quads quiet rock_three rock_four", _ARRAY),
         *_all("moduli x inverse e u v f", _ARRAY),
+        *_all("triangles_late quads_late rock_three_late rock_four_late", _ARRAY),
         *_all("starts at to entries weights inverse_pushed of_pushed places places_forced places_pushed", _ARRAY),
-        *_all("moved free sizes force added scratch forces base", _ARRAY),
+        *_all("moved free sizes force added scratch forces base ghost_v", _ARRAY),
         *_all("accelerations", _PAIR),
         *_all("laws before found shapes rows compliance", _ARRAY),
         *_all("strain values record blur", _PAIR),
@@ -53,6 +61,7 @@ class Given(ctypes.Structure):
         *_all("scheme of_damping", _REAL),
         *_all("of_terms", _ARRAY),
         *_all("energy iterations left", _REAL),
+        *_all("agreed", _ARRAY),
     ]
 
 
@@ -91,21 +100,23 @@ class Row(NamedTuple):
 class StepsInARow:
     """The loops with their arrays."""
 
-    def __init__(self, nodes: Nodes, given: Mapping[str, int]) -> None:
-        """Keep the addresses of all that stays."""
+    def __init__(self, nodes: Nodes, given: Mapping[str, int], others: Beyond | None) -> None:
+        """Keep the addresses of all that stays; ``others`` is what of other ranks is needed."""
         self.nodes, joints = nodes, nodes.operators.joints
-        self._friction = joints.copy_of_law if len(joints.weights) else None
-        self._dt = np.nan
-        sections, every, pushed, own = len(joints.weights), len(nodes.every), len(nodes.pushed), len(nodes.own)
+        self._friction, self._others = joints.copy_of_law if len(joints.weights) else None, others
+        self._count, own = len(joints.weights), len(nodes.own)
+        sections, every, pushed = given["sections_all"], given["first_ghost"] + given["ghosts"], given["pushed_all"]
+        self._places, self._agreed = every, np.zeros(4)
         shared = np.stack([nodes.pushed_own, nodes.own_pushed], axis=1)
         counts = {"own": own, "both": len(shared), "terms": len(nodes.dashpots)}
         self._arrays: dict[str, np.ndarray] = {
             name: np.zeros(size)
             for name, size in {
                 "moved": every, "free": 2 * sections, "sizes": 2 * sections, "force": pushed, "added": pushed,
-                "scratch": pushed, "forces": len(nodes.places_forced), "u_own": own, "a_own": own,
+                "scratch": pushed, "forces": every, "u_own": own, "a_own": own,
             }.items()
         }  # fmt: skip
+        self._arrays["agreed"] = self._agreed
         for name, numbers in {"at_own": nodes.at_own, "places_own": nodes.places_own, "shared": shared}.items():
             self._arrays[name] = np.ascontiguousarray(numbers, np.int64)
         self._blocks = [np.ascontiguousarray(each.blocks[0]) for each in nodes.dashpots.values()]
@@ -113,7 +124,7 @@ class StepsInARow:
         self._given = Given(**given, **counts, **{name: address(each) for name, each in self._arrays.items()})
 
     def take(self, held: Held, base: Floats, dt: float, count: int) -> Row | None:
-        """Up to ``count`` steps of length dt, the last of them up to an instant; None where the first needs the laws.
+        """Up to ``count`` steps of length dt, the last of them up to an instant; None where the first needs laws. Collective.
 
         base  (m,) forces that stay, on those of ``Nodes.every`` on which others act [force per thickness]
         """
@@ -122,15 +133,18 @@ class StepsInARow:
         given.most_pressed = self._most_pressed(held.sections)
         given.dt, given.share = dt, joint_share(dt)
         inverse = nodes.inverse_with_dashpots(dt).blocks[0]
-        before, sections, friction = self._answers(held.sections), held.sections, held.friction.copy()
-        after = self._friction.empty() if self._friction is not None else before
+        (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
+        after = Answers(np.empty_like(before.values), np.empty_like(before.statuses))
+        damped_forces = (np.zeros(self._places), np.zeros(self._places))
+        for damped_before in held.damped.values():
+            damped_forces[0][: len(damped_before)] = damped_before
         pairs: dict[str, tuple[Floats, Floats]] = {
             "values": (before.values, after.values),
-            "strain": _and_new(sections.strain),
+            "strain": _and_new(strain),
             "record": _and_new(sections.record),
             "blur": _and_new(sections.blur),
             "accelerations": _and_new(held.acceleration),
-            "damped_forces": next(map(_and_new, held.damped.values()), (base, base)),
+            "damped_forces": damped_forces,
         }
         resisting = {name: held.resisting[name].copy() for name in nodes.dashpots}
         of_terms, joints = np.zeros(len(resisting)), np.zeros(5)
@@ -141,26 +155,71 @@ class StepsInARow:
         for name, pair in (pairs | {"statuses": (before.statuses, after.statuses)}).items():
             getattr(given, name)[:] = [*map(address, pair)]
         given.scheme = given.of_damping = given.energy = given.iterations = given.left = 0.0
-        done = int(loops.fracflow_steps(ctypes.addressof(given), count, 1))
+        at = ctypes.addressof(given)
+        done = int(loops.fracflow_steps(at, count)) if self._others is None else self._pieces(at, count, self._others)
         if not done:
             return None
-        last = {name: pair[done % 2] for name, pair in pairs.items()}
+        last = {name: pairs[name][done % 2] for name in pairs}
         if self._friction is not None:
-            response = self._friction.response(Answers(last["values"], (before, after)[done % 2].statuses))
-            found = nodes.operators.joints.answered(last["strain"], response)
+            response = self._friction.response(self._own((before, after)[done % 2]))
+            found = nodes.operators.joints.answered(last["strain"][: self._count].copy(), response)
             sections = replace(found, record=last["record"], blur=last["blur"])
-        damped = dict.fromkeys(held.damped, last["damped_forces"])
+        damped = {name: last["damped_forces"][: len(values)].copy() for name, values in held.damped.items()}
         taken = dict(zip(resisting, of_terms.tolist(), strict=True))
         for name in damped:
             taken[name] = taken.get(name, 0.0) + given.of_damping
         new = Held(sections, friction, last["accelerations"], resisting, damped)
         return Row(done, new, given.energy, given.scheme, taken, joints, round(given.iterations), given.left)
 
-    def _answers(self, sections: Sections) -> Answers:
-        if self._friction is None:
-            return Answers(np.zeros(0), np.zeros((2, 0), dtype=bool))
-        known = sections.traction, sections.tangent, sections.inelastic, sections.stored
-        return self._friction.answers(*known, sections.history[0])
+    def _pieces(self, given: int, count: int, others: Beyond) -> int:
+        """Steps on several ranks, as many on each. Collective."""
+        loops, comm, rock = library(), self.nodes.operators.layout.comm, self.nodes.rock
+        assert loops is not None and isinstance(rock, Cells) and rock.way is not None
+        piece, way, speeds = loops.fracflow_piece, rock.way, others.way
+        for done in range(count):
+            is_last = done == count - 1
+            speeds.begin()
+            speeds.end()
+            piece(given, _JOINTS, is_last)
+            comm.Allreduce(MPI.IN_PLACE, self._agreed, op=MPI.MAX)
+            if self._agreed[0] > 0.0:
+                return done
+            piece(given, _FORCES, is_last)
+            way.begin()
+            piece(given, _FIRST_HALF, is_last)
+            way.end()
+            piece(given, _LATE_CELLS, is_last)
+            way.begin_back()
+            piece(given, _SECOND_HALF, is_last)
+            way.end_back()
+            piece(given, _END, is_last)
+        return count
+
+    def _all_sections(self, sections: Sections) -> tuple[Floats, Answers]:
+        """Strains and answers of this rank's sections, and those of others behind them. Collective."""
+        answers, count = Answers(np.zeros(0), np.zeros((2, 0), dtype=bool)), self._count
+        if self._friction is not None:
+            known = sections.traction, sections.tangent, sections.inelastic, sections.stored
+            answers = self._friction.answers(*known, sections.history[0])
+        if self._others is None:
+            return sections.strain, answers
+        own = np.hstack([sections.strain, *_parts(answers.values, count)])
+        rows = np.vstack([own, self._others.sections.there(own)])
+        values = np.concatenate([rows[:, 2 + first : 2 + last].ravel() for first, last in pairwise(COLUMNS)])
+        return rows[:, :2], Answers(values, np.zeros((2, len(rows)), dtype=bool))
+
+    def _own(self, answers: Answers) -> Answers:
+        """Those of this rank's sections."""
+        if self._others is None:
+            return answers
+        parts, count = _parts(answers.values, self._others.count), self._count
+        values = np.concatenate([part[:count].ravel() for part in parts])
+        return Answers(values, answers.statuses[:, :count].copy())
+
+    def destroy(self) -> None:
+        """Free the ways between ranks. Collective."""
+        if self._others is not None:
+            self._others.destroy()
 
     def _most_pressed(self, sections: Sections) -> float:
         """Up to which compression no strength falls so fast that a section jumps, as far as that is known [stress]."""
@@ -171,16 +230,34 @@ class StepsInARow:
         return next((each for each in bounds if law.most_steepness(each) < 1.0), -np.inf)
 
 
-def steps_in_a_row(nodes: Nodes, passes: JointNodes, guess: JointGuess | None) -> StepsInARow | None:
-    """The loops; None where something acts that they do not have."""
+def steps_in_a_row(
+    nodes: Nodes, passes: JointNodes, guess: JointGuess | None, damping: list[PETSc.Mat]
+) -> StepsInARow | None:
+    """The loops; None where something acts that they do not have. ``damping`` are matrices of what damps. Collective."""
+    others = nodes.operators.flow is not None or nodes.changing.is_any or len(nodes.held) > 0 or len(damping) > 1
+    others = bool(others or nodes.waves or nodes.springs)
+    if nodes.operators.layout.comm.size > 1:
+        found = beyond(nodes, guess, damping, others)
+        return None if found is None else StepsInARow(nodes, found.given, found)
     parts = [nodes.rock.given(), passes.given(), *(each.given() for each in nodes.damping.values())]
     if len(nodes.operators.joints.weights):
         parts.append(None if guess is None else guess.given())
-    others = nodes.operators.flow is not None or nodes.changing.is_any or len(nodes.held) > 0 or len(nodes.damping) > 1
     known = [each for each in parts if each is not None]
-    if others or nodes.waves or nodes.springs or len(known) < len(parts):
+    if others or len(known) < len(parts):
         return None
-    return StepsInARow(nodes, {name: value for each in known for name, value in each.items()})
+    given = {name: value for each in known for name, value in each.items()}
+    given |= {
+        "sections_all": given["sections"],
+        "pushed_all": given["pushed"],
+        "first_ghost": given["every"],
+        "ghosts": 0,
+    }
+    return StepsInARow(nodes, given, None)
+
+
+def _parts(values: Floats, count: int) -> list[Floats]:
+    """Answers of so many sections, by their columns: (n, k) each."""
+    return [values[count * first : count * last].reshape(count, last - first) for first, last in pairwise(COLUMNS)]
 
 
 def _and_new(values: Floats) -> tuple[Floats, Floats]:

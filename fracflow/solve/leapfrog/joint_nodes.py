@@ -204,7 +204,7 @@ class CompiledJointNodes:
         return counts | arrays | {"inverse_pushed": address(self._inverse)}
 
 
-def _shares_columns(nodes: Nodes) -> bool:
+def shares_columns(nodes: Nodes) -> bool:
     """Whether both rows of G of each section in the plane have the same columns, as ``model.joints`` makes them."""
     starts, columns, _ = nodes.jump.own_rows()
     counts = np.diff(starts)
@@ -222,7 +222,7 @@ def _by_sections(nodes: Nodes) -> tuple[Ints, Ints, Floats]:
 def joint_nodes(nodes: Nodes) -> JointNodes:
     """The compiled passes where they serve on all ranks, else the others. Collective."""
     comm, dim, is_own = nodes.operators.layout.comm, nodes.operators.joints.dim, nodes.jump.is_own
-    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not is_own or not _shares_columns(nodes)
+    lacks = library() is None or dim != 2 or len(nodes.bodies) > 0 or not is_own or not shares_columns(nodes)
     return PlainJointNodes(nodes) if comm.allreduce(int(lacks)) else CompiledJointNodes(nodes)
 
 

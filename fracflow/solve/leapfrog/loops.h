@@ -6,6 +6,10 @@ double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const 
                       const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli,
                       const double *x, const double *inverse, const double *e, double kick, double drift, double *u, double *v,
                       double *f);
+double fracflow_cells(int32_t threes, int32_t fours, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three,
+                      const uint16_t *rock_four, const double *moduli, const double *x, const double *u, double *f);
+void fracflow_move(int32_t first, int32_t last, const double *inverse, double kick, double drift, double *u, double *v,
+                   const double *f);
 void fracflow_predict(int32_t n, const int64_t *place, const double *v, double dt, double *moved);
 void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved,
                     double *found);

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 
@@ -46,6 +46,50 @@ def _gathered(whole: PETSc.Vec, chosen: PETSc.IS) -> tuple[PETSc.Vec, PETSc.Scat
     scatter = PETSc.Scatter().create(whole, chosen, found, None)
     scatter.scatter(whole, found)
     return found, scatter
+
+
+class GhostWay:
+    """Values of this rank's unknowns to ranks that have them as ghosts; other values at ghosts, added to those, back."""
+
+    def __init__(
+        self, comm: MPI.Comm, wanted: Ints, values: tuple[Floats, Floats], others: tuple[Floats, Floats] | None = None
+    ) -> None:
+        """Keep arrays of own values (n,) and of ghosts (g,), by whose numbers ``wanted`` (g,) these are found. Collective."""
+        own, ghosts = values
+        self._size = (len(own), comm.allreduce(len(own)))
+        self._values = self._vectors(comm, own, ghosts)
+        self._others = None if others is None else self._vectors(comm, *others)
+        chosen = PETSc.IS().createGeneral(petsc_ints(wanted), comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(self._values[0], chosen, self._values[1], None)
+        chosen.destroy()
+
+    def _vectors(self, comm: MPI.Comm, own: Floats, ghosts: Floats) -> tuple[PETSc.Vec, PETSc.Vec]:
+        whole = PETSc.Vec().createWithArray(own, size=self._size, comm=comm)
+        return whole, PETSc.Vec().createWithArray(ghosts, comm=PETSc.COMM_SELF)
+
+    def begin(self) -> None:
+        """Send values. Collective."""
+        self._scatter.scatterBegin(*self._values, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+
+    def end(self) -> None:
+        """Receive them. Collective."""
+        self._scatter.scatterEnd(*self._values, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+
+    def begin_back(self) -> None:
+        """Send the others. Collective."""
+        assert self._others is not None
+        own, ghosts = self._others
+        self._scatter.scatterBegin(ghosts, own, PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+
+    def end_back(self) -> None:
+        """Receive them, and add them to those of this rank. Collective."""
+        assert self._others is not None
+        own, ghosts = self._others
+        self._scatter.scatterEnd(ghosts, own, PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+
+    def destroy(self) -> None:
+        """Free it. Collective."""
+        destroy(*self._values, *(self._others or ()), self._scatter)
 
 
 def order_of_sweep(cells: Ints, owned: int, late: Bools) -> Ints:

@@ -12,14 +12,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
-from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
+from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.solid import elasticity
 from fracflow.scene.scene import Scene
 from fracflow.solve.leapfrog.compiled import address, library
 from fracflow.solve.leapfrog.local import in_blocks
-from fracflow.solve.leapfrog.numbering import at_ghosts, late_nodes, order_of_sweep
+from fracflow.solve.leapfrog.numbering import GhostWay, at_ghosts, late_nodes, order_of_sweep
 
 PARALLEL = 1e-12  # of the diagonals: by so much the sides of a parallelogram may differ
 COMPILED = ((2, 3), (2, 4))  # dimension and nodes of the cells that rock.c has; others go by their matrix
@@ -27,6 +27,7 @@ OF_SWEEP = (
     "node", "top", "of_three", "of_four", "oblique", "quiet", "triangles", "quads", "rock_three", "rock_four", "moduli", "x",
     "inverse", "e", "u", "v", "f",
 )  # fmt: skip
+LATE = ("triangles_late", "quads_late", "rock_three_late", "rock_four_late")
 RANGE = 128  # nodes that move at once: their values stay in the fastest memory from their first cell on
 
 
@@ -84,7 +85,7 @@ class Rock(Protocol):
         ...
 
     def given(self) -> dict[str, int] | None:
-        """Counts and addresses by their names in ``steps.c``; None where that has no loops, and on several ranks."""
+        """Counts and addresses by their names in ``steps.c``; None where that has no loops."""
         ...
 
     def destroy(self) -> None:
@@ -168,26 +169,16 @@ class Cells:
 
     def _share(self, blocks: Blocks, place: Ints) -> None:
         """Make the way of ghost values between ranks."""
-        self._way: tuple[list[PETSc.Vec], list[PETSc.Vec], PETSc.Scatter] | None = None
+        self.way: GhostWay | None = None
         comm, block = blocks.comm, blocks.solid
         if comm.size == 1:
             return
         of_owner = at_ghosts(blocks, place[: block.owned].astype(float)).astype(np.int64)
         ghosts = block.node_global[block.owned :]
         numbers = of_owner + block.node_starts[owner_of(block.node_starts, ghosts)]
-        wanted = (2 * numbers[:, None] + np.arange(2)).ravel()
-        size = (2 * block.owned, 2 * int(block.node_starts[-1]))
-        u, force = (
-            [
-                PETSc.Vec().createWithArray(each[: 2 * block.owned], size=size, comm=comm),
-                PETSc.Vec().createWithArray(each[2 * block.owned :], comm=PETSc.COMM_SELF),
-            ]
-            for each in (self.u, self.f)
-        )
-        chosen = PETSc.IS().createGeneral(petsc_ints(wanted), comm=PETSc.COMM_SELF)
-        scatter = PETSc.Scatter().create(u[0], chosen, u[1], None)
-        chosen.destroy()
-        self._way = (u, force, scatter)
+        wanted, own = (2 * numbers[:, None] + np.arange(2)).ravel(), 2 * block.owned
+        u, force = ((each[:own], each[own:]) for each in (self.u, self.f))
+        self.way = GhostWay(comm, wanted, u, force)
 
     def hold(self, held: Bools, mass: Floats) -> None:
         """Take masses (n,) of the local unknowns; nodes with held unknowns (n,) are not moved by forces."""
@@ -231,21 +222,19 @@ class Cells:
     def step(self, kick: float, drift: float) -> None:
         """One step of all unknowns. Collective."""
         ranges, early, owned = len(self._sweep[1]), 2 * self._early, 2 * self.owned
-        if self._way is None:
+        way = self.way
+        if way is None:
             self.energy = 0.5 * self._swept_by(0, ranges, kick, drift)
             return
-        u, force, scatter = self._way
-        insert, add, ways = PETSc.InsertMode.INSERT, PETSc.InsertMode.ADD, PETSc.ScatterMode
-        forward, back = (insert, ways.FORWARD), (add, ways.REVERSE)
         self.f[early:owned], self.f[owned:] = self.e[early:owned], 0.0
-        scatter.scatterBegin(u[0], u[1], *forward)
+        way.begin()
         twice = self._swept_by(0, ranges // 2, kick, drift)
-        scatter.scatterEnd(u[0], u[1], *forward)
+        way.end()
         data = [*map(address, (*self._rest, self._moduli, self._x, self.u, self.f))]
         twice += self._loops.fracflow_cells(len(self._rest[0]), len(self._rest[1]), *data)
-        scatter.scatterBegin(force[1], force[0], *back)
+        way.begin_back()
         twice += self._swept_by(ranges // 2, ranges, kick, drift)
-        scatter.scatterEnd(force[1], force[0], *back)
+        way.end_back()
         self._loops.fracflow_move(self._early, self.owned, address(self._w), kick, drift, *self._motion)
         self.energy = 0.5 * twice
 
@@ -258,17 +247,17 @@ class Cells:
         starts.append(address(self._quiet) + first)
         return float(self._loops.fracflow_sweep(last - first, begun, *starts, *self._data, kick, drift, *self._motion))
 
-    def given(self) -> dict[str, int] | None:
-        """Counts and addresses by their names in ``steps.c``; None on several ranks."""
-        if self._way is not None:
-            return None
+    def given(self) -> dict[str, int]:
+        """Counts and addresses by their names in ``steps.c``."""
         arrays = dict(zip(OF_SWEEP, [*self._starts, address(self._quiet), *self._data, *self._motion], strict=True))
-        return {"ranges": len(self._sweep[1]), "a_rock": address(self.a), **arrays}
+        arrays |= dict(zip(LATE, map(address, self._rest), strict=True))
+        counts = {"early": self._early, "owned": self.owned, "whole": len(self._x)}
+        counts |= {"threes": len(self._rest[0]), "fours": len(self._rest[1]), "ranges": len(self._sweep[1])}
+        return counts | arrays | {"a_rock": address(self.a)}
 
     def destroy(self) -> None:
         """Free the way between ranks. Collective."""
-        if self._way is not None:
-            destroy(*self._way[0], *self._way[1], self._way[2])
+        destroy(self.way)
 
 
 def _oblique(points: Floats, cells: Ints) -> Bools:

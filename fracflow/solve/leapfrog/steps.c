@@ -1,5 +1,6 @@
-/* Explicit steps in a row on one rank, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a
-   compiled answer, sides of dashpots and one damping; nothing is held, and no load changes. */
+/* Explicit steps in a row, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a compiled
+   answer, sides of dashpots and one damping; nothing is held, and no load changes. On several ranks a step is in pieces,
+   between which values travel. */
 #include "loops.h"
 #include <math.h>
 #include <string.h>
@@ -7,6 +8,10 @@
 /* As ``in_a_row.Given`` has it: 8 bytes each. Arrays in pairs are those before a step and after it, which change places. */
 typedef struct {
   int64_t sections, every, forced, pushed, own, both, ranges, batches, terms, damped;
+  /* sections and pushed unknowns with those of other ranks behind this one's; unknowns of others, and their first place */
+  int64_t sections_all, pushed_all, ghosts, first_ghost;
+  /* nodes of the rock that move in the sweep, that are this rank's, and all; cells with nodes of other ranks */
+  int64_t early, owned, whole, threes, fours;
   int64_t is_coupled, has_path, most, most_changes;
   double dt, share, most_pressed;
   /* the rock, as in rock.c */
@@ -15,13 +20,15 @@ typedef struct {
   const uint16_t *rock_three, *rock_four;
   const double *moduli, *x, *inverse;
   double *e, *u, *v, *f;
+  const int32_t *triangles_late, *quads_late;
+  const uint16_t *rock_three_late, *rock_four_late;
   /* nodes of joints, as in nodes.c; ``accelerations`` (p,) of what they push */
   const int32_t *starts, *at, *to;
   const double *entries, *weights, *inverse_pushed;
   const int32_t *of_pushed;
   const int64_t *places, *places_forced, *places_pushed;
   double *moved, *free, *sizes, *force, *added, *scratch, *forces;
-  const double *base;
+  const double *base, *ghost_v;
   double *accelerations[2];
   /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and their members, and addresses of both arrays of a batch */
   const double *laws;
@@ -43,6 +50,8 @@ typedef struct {
   /* sums over the steps: (5,) of joints, the scheme, damping, each C; strain energy at the last one */
   double *of_joints, scheme, of_damping, *of_terms, energy;
   double iterations, left;
+  /* of joints in a step, the most over ranks: whether there is no answer, iterations, motion, and what is left of it */
+  double *agreed;
 } steps;
 
 static void swap(double **pair) {
@@ -50,36 +59,43 @@ static void swap(double **pair) {
   pair[0] = pair[1], pair[1] = kept;
 }
 
-/* Sections at the end of a step into the second of each pair; 0 where the loops have no answer, or one is pressed too much. */
-static int joints_balance(steps *s) {
-  const int64_t n = s->sections;
-  double *was = s->values[0], *is = s->values[1], largest[2];
-  int32_t iterations = 0;
+/* The motion without what joints change, and sections at the end of a step into the second of each pair. */
+static void joints_balance(steps *s) {
+  const int64_t n = s->sections_all;
+  double *was = s->values[0], *is = s->values[1], *agreed = s->agreed;
+  fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);
+  for (int64_t k = 0; k < s->ghosts; k++) s->moved[s->first_ghost + k] = s->dt * s->ghost_v[k];
+  memset(agreed, 0, 4 * sizeof(double));
+  fracflow_jumps((int32_t)n, s->starts, s->at, s->entries, s->moved, s->free);
   fracflow_before((int32_t)n, s->free, s->strain[0], was, was + 2 * n, was + 12 * n, was + 13 * n,
                   s->has_path ? was + 14 * n : 0, s->before);
   for (int64_t k = 0; k < s->batches; k++) {
     const int32_t done = fracflow_joints((int32_t)s->shapes[2 * k], (int32_t)s->shapes[2 * k + 1], s->rows[k], s->compliance[k],
                                          s->share, s->laws, s->before, (int32_t)s->most, (int32_t)s->most_changes, s->found,
                                          (int32_t)n, (int32_t)s->is_coupled, is, s->statuses[1]);
-    if (done < 0) return 0;
-    if (done > iterations) iterations = done;
+    if (done < 0) {
+      agreed[0] = 1.0;
+      return;
+    }
+    if (done > agreed[1]) agreed[1] = done;
   }
-  for (int64_t i = 0; i < n; i++)
-    if (!(-is[2 * i + 1] <= s->most_pressed)) return 0;
-  fracflow_after((int32_t)n, s->before, s->found, s->strain[1], largest);
-  const double left = largest[0] > 0.0 ? largest[1] / largest[0] : 0.0;
-  s->iterations += iterations, s->left = left > s->left ? left : s->left;
-  return 1;
+  for (int64_t i = 0; i < s->sections; i++)
+    if (!(-is[2 * i + 1] <= s->most_pressed)) agreed[0] = 1.0;
+  fracflow_after((int32_t)n, s->before, s->found, s->strain[1], agreed + 2);
 }
 
 /* Joints push by what their tractions change, and their work counts. */
 static void joints_push(steps *s) {
-  const int64_t n = s->sections;
-  const double *was = s->values[0], *is = s->values[1];
-  fracflow_pull((int32_t)n, (int32_t)s->pushed, s->starts, s->at, s->to, s->entries, s->weights, was, is, s->inverse_pushed,
+  const int64_t n = s->sections_all;
+  const double *was = s->values[0], *is = s->values[1], *agreed = s->agreed;
+  const double left = agreed[2] > 0.0 ? agreed[3] / agreed[2] : 0.0;
+  s->iterations += agreed[1], s->left = left > s->left ? left : s->left;
+  memset(s->force, 0, sizeof(double) * (size_t)s->pushed_all), memset(s->added, 0, sizeof(double) * (size_t)s->pushed_all);
+  if (!n) return;
+  fracflow_pull((int32_t)n, (int32_t)s->pushed_all, s->starts, s->at, s->to, s->entries, s->weights, was, is, s->inverse_pushed,
                 s->share, s->of_pushed, s->scratch, s->force, s->added, s->moved, s->sizes);
-  fracflow_work((int32_t)n, s->weights, was, s->strain[0], was + 6 * n, was + 8 * n, s->record[0], s->blur[0], is, s->strain[1],
-                is + 6 * n, is + 8 * n, s->sizes, s->record[1], s->blur[1], s->friction, s->of_joints);
+  fracflow_work((int32_t)s->sections, s->weights, was, s->strain[0], was + 6 * n, was + 8 * n, s->record[0], s->blur[0], is,
+                s->strain[1], is + 6 * n, is + 8 * n, s->sizes, s->record[1], s->blur[1], s->friction, s->of_joints);
   swap(s->strain), swap(s->values), swap(s->record), swap(s->blur);
   int8_t *kept = s->statuses[0];
   s->statuses[0] = s->statuses[1], s->statuses[1] = kept;
@@ -117,13 +133,13 @@ static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
   for (int64_t k = 0; k < s->both; k++) s->accelerations[1][s->shared[2 * k]] = s->a_own[s->shared[2 * k + 1]];
 }
 
-/* Forces at the end of a step, and the motion of all nodes on to the middle of the next. */
-static void all_move(steps *s, int is_last) {
-  const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
-  const int32_t pushed = (int32_t)s->pushed, n = (int32_t)s->sections;
-  fracflow_put(pushed, 1, s->places_pushed, s->added, s->u);
+/* Outer forces at the end of a step, and displacements there. */
+static void outer_forces(steps *s) {
+  const int64_t beyond = s->first_ghost + s->ghosts - s->forced;
+  fracflow_put((int32_t)s->pushed, 1, s->places_pushed, s->added, s->u);
   memcpy(s->forces, s->base, sizeof(double) * (size_t)s->forced);
-  fracflow_resist(n, s->starts, s->at, s->entries, s->weights, s->values[0], s->forces);
+  memset(s->forces + s->forced, 0, sizeof(double) * (size_t)beyond);
+  fracflow_resist((int32_t)s->sections_all, s->starts, s->at, s->entries, s->weights, s->values[0], s->forces);
   if (s->damped) {
     s->of_damping += 0.5 * fracflow_damp((int32_t)s->damped, s->damping_starts, s->damping_columns, s->damping, 1.0 / s->dt,
                                          s->moved, s->damped_forces[0], s->damped_forces[1], s->forces);
@@ -131,9 +147,21 @@ static void all_move(steps *s, int is_last) {
   }
   fracflow_put((int32_t)s->forced, 0, s->places_forced, s->forces, s->e);
   for (int64_t i = 0; i < s->own; i++) s->u_own[i] = s->u[s->places_own[i]];
-  s->energy = 0.5 * fracflow_sweep((int32_t)s->ranges, 0, s->node, s->top, s->of_three, s->of_four, s->oblique, s->quiet,
-                                   s->triangles, s->quads, s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick,
-                                   drift, s->u, s->v, s->f);
+}
+
+/* Some ranges of the rock, whose strain energy counts. */
+static void sweeps(steps *s, int64_t first, int64_t last, double kick, double drift) {
+  const int32_t begun = first ? s->top[first - 1] : 0;
+  if (first == last) return;
+  s->energy += 0.5 * fracflow_sweep((int32_t)(last - first), begun, s->node + first, s->top + first, s->of_three + first,
+                                    s->of_four + first, s->oblique + first, s->quiet + first, s->triangles, s->quads,
+                                    s->rock_three, s->rock_four, s->moduli, s->x, s->inverse, s->e, kick, drift, s->u, s->v,
+                                    s->f);
+}
+
+/* Accelerations at the end of a step, and the motion of nodes with dashpots. */
+static void ends(steps *s, double kick, double drift, int is_last) {
+  const int32_t pushed = (int32_t)s->pushed;
   fracflow_accelerate(pushed, s->places_pushed, s->inverse_pushed, s->f, s->accelerations[1]);
   own_nodes_move(s, kick, drift, is_last);
   const double gain = fracflow_gain(pushed, s->inverse_pushed, s->force, s->accelerations[0], s->accelerations[1]);
@@ -141,18 +169,43 @@ static void all_move(steps *s, int is_last) {
   swap(s->accelerations);
 }
 
-/* Up to ``count`` steps, and how many there were: one that joints need the laws for is not begun. The last of them all ends at
-   an instant where ``ends``. */
-int64_t fracflow_steps(steps *s, int64_t count, int32_t ends) {
+enum { JOINTS, FORCES, FIRST_HALF, LATE_CELLS, SECOND_HALF, END };
+
+/* A piece of a step, which ends at an instant where ``is_last``. Before JOINTS, velocities of ghosts have come. Before FORCES,
+   ranks have agreed. Displacements of ghosts travel during the first half of the sweep, forces on them during the second. */
+void fracflow_piece(steps *s, int32_t piece, int32_t is_last) {
+  const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
+  const int64_t half = s->ranges / 2, early = 2 * s->early, owned = 2 * s->owned;
+  switch (piece) {
+    case JOINTS: joints_balance(s); return;
+    case FORCES:
+      joints_push(s), outer_forces(s);
+      memcpy(s->f + early, s->e + early, sizeof(double) * (size_t)(owned - early));
+      memset(s->f + owned, 0, 2 * sizeof(double) * (size_t)(s->whole - s->owned)), s->energy = 0.0;
+      return;
+    case FIRST_HALF: sweeps(s, 0, half, kick, drift); return;
+    case LATE_CELLS:
+      s->energy += 0.5 * fracflow_cells((int32_t)s->threes, (int32_t)s->fours, s->triangles_late, s->quads_late,
+                                        s->rock_three_late, s->rock_four_late, s->moduli, s->x, s->u, s->f);
+      return;
+    case SECOND_HALF: sweeps(s, half, s->ranges, kick, drift); return;
+    default:
+      fracflow_move((int32_t)s->early, (int32_t)s->owned, s->inverse, kick, drift, s->u, s->v, s->f);
+      ends(s, kick, drift, is_last);
+  }
+}
+
+/* Up to ``count`` steps on one rank, and how many there were: one that joints need the laws for is not begun. The last of them
+   all ends at an instant. */
+int64_t fracflow_steps(steps *s, int64_t count) {
   for (int64_t k = 0; k < count; k++) {
-    fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);
-    fracflow_jumps((int32_t)s->sections, s->starts, s->at, s->entries, s->moved, s->free);
-    memset(s->force, 0, sizeof(double) * (size_t)s->pushed), memset(s->added, 0, sizeof(double) * (size_t)s->pushed);
-    if (s->sections) {
-      if (!joints_balance(s)) return k;
-      joints_push(s);
-    }
-    all_move(s, ends && k == count - 1);
+    const int is_last = k == count - 1;
+    const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
+    joints_balance(s);
+    if (s->agreed[0] > 0.0) return k;
+    joints_push(s), outer_forces(s), s->energy = 0.0;
+    sweeps(s, 0, s->ranges, kick, drift);
+    ends(s, kick, drift, is_last);
   }
   return count;
 }

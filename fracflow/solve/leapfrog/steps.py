@@ -45,10 +45,11 @@ class Leapfrog:
         self.nodes = Nodes(explicit.operators, scene, loads, explicit.damping)
         self.joints = JointSolver(explicit.operators, explicit.sections.clusters, scene.accuracy.max_iterations)
         self.run = Run(self.nodes)
-        self._row = steps_in_a_row(self.nodes, self.run.passes, self.joints.guess)
+        matrices = [each.matrix for each in explicit.damping.values()]
+        self._row = steps_in_a_row(self.nodes, self.run.passes, self.joints.guess, matrices)
 
     def in_a_row(self, count: int, hold: bool) -> Row | None:
-        """Up to ``count`` steps from the run's, the last of them up to an instant; None where loops do not take any.
+        """Up to ``count`` steps from the run's, the last of them up to an instant; None where loops take none. Collective.
 
         hold  keeps all statuses, which the loops do not
         """
@@ -64,7 +65,7 @@ class Leapfrog:
 
     def destroy(self) -> None:
         """Free matrices. Collective."""
-        destroy(self.nodes)
+        destroy(self.nodes, self._row)
 
 
 @dataclass
