@@ -37,7 +37,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     if match:
         return f'did you mean "{match[0]}"?'
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f"allowed: {', '.join(names[:MOST_NAMES])}{more}" if names else "none is allowed here"
+    return f"allowed: {', '.join(names[:MOST_NAMES])}{more}" if names else "there is none"
 
 
 def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseModel]) -> str:

@@ -93,7 +93,7 @@ def _is_of_rock(scene: Scene) -> bool:
 def _mistaken(scene: Scene, key: str, value: float, dimension: str, is_so: str, usual: str) -> str:
     unit = scene.unit_system.written(dimension)
     return (
-        f"{key} = {value:g} {unit} is {is_so}: is its unit right? Numbers are in {unit}; give"
+        f"{key} = {value:g} {unit} is {is_so}: is its unit right? Numbers without a unit are in {unit}; give"
         f' "{value:g} {usual}" if that is meant'
     )
 
@@ -149,4 +149,6 @@ def unusual(scene: Scene) -> Iterator[str]:
             if not least <= in_si <= most:
                 stated = f"{value:g} {scene.unit_system.written(dimension)}".rstrip()
                 few = "small" if in_si < least else "large"
-                yield f"{path}.{key} = {stated} is unusually {few}: is its unit right?"
+                is_angle = key == "friction_coefficient" and in_si > most
+                remedy = "give an angle as friction_angle_deg" if is_angle else "is its unit right?"
+                yield f"{path}.{key} = {stated} is unusually {few}: {remedy}"

@@ -127,8 +127,10 @@ class Totals:
         if refused:
             yield f"joints of {refused} of {solved} explicit steps took more than the guess of the compiled loops"
         if self.evaluations:
+            share = self.evaluations / max(newton, 1)  # less than one where joints alone are brought into balance
+            each = f"; {share:.1f} evaluations for each iteration of an accepted step" if share >= 1.0 else ""
+            alone = "" if each else ", besides those of joints and their fluid alone"
             yield (
-                f"work in all: {self.evaluations} evaluations of the balances, {self.factored} factorisations;"
-                f" {self.evaluations / max(newton, 1):.1f} evaluations for each iteration of an accepted step"
+                f"work in all: {self.evaluations} evaluations of the balances, {self.factored} factorisations{alone}{each}"
             )
         yield f"{self.in_words()}{self.besides()} in {seconds:.2f} s"

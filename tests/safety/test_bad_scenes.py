@@ -100,7 +100,7 @@ SCENES = {
     ),
     "a default for no fractures": (
         scene(TRACES, "fracture = []\n", "fracture.fault", "fracture.default"),
-        'scene.toml: well.well.at.fracture = "fault": not in the mesh; none is allowed here',
+        'scene.toml: well.well.at.fracture = "fault": not in the mesh; there is none',
     ),
     "a name twice": (
         scene(TRACES, TRACES * 2),

@@ -118,6 +118,9 @@ def test_values_of_another_unit_are_told(make):
         "fracture.fault.aperture = 2 m is unusually large: is its unit right?",
         "fracture.fault.leak_off.permeability = 0.001 m^2 is unusually large: is its unit right?",
     ]
+    crack = "fracture.crack.friction_coefficient"
+    told = f"{crack} = 30 is unusually large: give an angle as friction_angle_deg"
+    assert told in advice(load("meshes/pressurised_crack/scene.toml", [f"{crack}=30"]))
 
 
 @pytest.mark.parametrize("stress, told", [("-14", True), ("-14e6", False), ("0", False)])
