@@ -400,7 +400,7 @@ class JoinedMatrix:
     def _let_through(self, free: FreePart, summed: SummedBalances, conduction: Conduction, rate: float) -> None:
         """Add what flows from component to component, ``rate`` a volume, to the sums of their balances."""
         scales, size = self.operators.scales, rate * self._kept[:, :, None]
-        rows = np.where(summed.is_joining[:, None], free.keeping, -1)
+        rows = np.where(summed.is_joining[:, None] & (summed.root_at >= 0), free.keeping, -1)
         by_pressure, by_opening = (each / size for each in summed.between(conduction).tangents(0.0))
         add_blocks(self.matrix, rows, free.flow_nodes, scales.pressure * by_pressure)
         for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):

@@ -334,8 +334,9 @@ class StepProblem:
         taken = stored if self.taken_up is None else stored + self.taken_up
         if self.conduction.leaving is not None:  # at a given rate, which settles no pressure
             taken = taken + network.at_nodes(self.conduction.leaving.rate)
-        passed = self.operators.layout.flow_vector()
-        network.outflow(summed.between(self.conduction), passed)
+        passed, between = self.operators.layout.flow_vector(), summed.between(self.conduction)
+        known += network.at_nodes(round_off_of_flow(network, between, moved, 0.0))
+        network.outflow(between, passed)
         taken = taken + passed.getArray(readonly=True)
         passed.destroy()
         roots = summed.roots

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, SplitMesh
 from fracflow.mesh.slices.directory import Directory
@@ -20,7 +21,7 @@ def merged_slices(mesh: SplitMesh | None, blocks: Blocks, chosen: Bools) -> tupl
     mesh  the near cells of the blocks, with all joints, on rank 0, else None
     """
     comm, solid, sizes = blocks.comm, blocks.solid, blocks.sizes
-    merged = None if mesh is None else replace(merged_faces(mesh, chosen), sums=None)
+    merged = on_root(comm, lambda: None if mesh is None else replace(merged_faces(mesh, chosen), sums=None))
     counts = None if mesh is None or merged is None else (len(mesh.points), len(merged.points), mesh.near)
     before, after, near = comm.bcast(counts, root=0)
     old = Directory(comm, before)

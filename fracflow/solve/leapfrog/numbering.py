@@ -49,7 +49,7 @@ def _gathered(whole: PETSc.Vec, chosen: PETSc.IS) -> tuple[PETSc.Vec, PETSc.Scat
 
 
 class GhostWay:
-    """Values of this rank's unknowns to ranks that have them as ghosts; other values at ghosts, added to those, back."""
+    """Sends own values to ranks that have them as ghosts, and adds other values at ghosts to those of their owners."""
 
     def __init__(
         self, comm: MPI.Comm, wanted: Ints, values: tuple[Floats, Floats], others: tuple[Floats, Floats] | None = None
