@@ -148,7 +148,7 @@ class SummedBalances:
 
     @property
     def is_joining(self) -> Bools:
-        """Elements (j,) that join two components, as good as pinched."""
+        """Elements (j,) that join two components: flow through them has few digits in the balances beside them."""
         return np.asarray(self.root_at[:, 0] != self.root_at[:, 1])
 
     def between(self, conduction: Conduction) -> Conduction:
