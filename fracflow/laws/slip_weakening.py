@@ -120,7 +120,7 @@ class SlipWeakening(FrictionLaw):
 
     def most_steepness(self, compression: float) -> float:
         """Largest (mu_p - mu_d)/(D_c k_s) of all sections, times the ``compression`` [stress]."""
-        return compression * self._steepest
+        return compression * self._steepest if self._steepest > 0.0 else 0.0  # of an infinite one, too
 
     @cached_property
     def _steepest(self) -> float:

@@ -133,3 +133,10 @@ def test_path_of_a_turn_in_three_dimensions():
         past = law.evaluate(np.array([[5e-3 * np.cos(angle), 5e-3 * np.sin(angle), 0.0]]), past).history
         path += np.linalg.norm(past["plastic_slip"] - before)
     assert past["slip_path"][0] == pytest.approx(path, rel=1e-12) and path > 0.02
+
+
+def test_the_steepest_fall_under_any_compression():
+    """None where friction does not fall, else no bound."""
+    friction = LAW.friction_coefficient
+    assert replace(LAW, dynamic_friction_coefficient=friction).most_steepness(np.inf) == 0.0
+    assert LAW.most_steepness(np.inf) == np.inf and LAW.most_steepness(0.0) == 0.0

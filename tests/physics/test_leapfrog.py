@@ -14,8 +14,8 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 from fracflow.solve.explicit import ExplicitModel
-from fracflow.solve.leapfrog import damping, joint_nodes, rock, section_work, steps
-from fracflow.solve.leapfrog.compiled import library
+from fracflow.solve.leapfrog import damping, in_a_row, joint_nodes, rock, section_work, steps
+from fracflow.solve.leapfrog.compiled import library, members_of_steps
 from fracflow.solve.leapfrog.damping import PlainDamping, SymmetricDamping
 from fracflow.solve.leapfrog.in_a_row import StepsInARow
 from fracflow.solve.leapfrog.joint_nodes import CompiledJointNodes, PlainJointNodes, Pushed
@@ -307,6 +307,13 @@ def test_compiled_passes_are_those_of_numpy(scene):
 
     for one, other in zip(passed(fast), passed(plain), strict=True):
         assert np.abs(one - other).max() <= 1e-13 * np.abs(other).max() and np.abs(other).max() > 0.0
+    parts = there, fast, leapfrog.joints.guess, *nodes.damping.values()
+    given = dict.fromkeys(("sections_all", "pushed_all", "first_ghost", "ghosts"), 0)
+    given |= {name: value for part in parts for name, value in part.given().items()}
+    row = StepsInARow(nodes, given, None)
+    assert members_of_steps() - given.keys() - in_a_row.OF_A_ROW - row.given == {"ghost_v"}  # of other ranks
+    with pytest.raises(AssertionError, match=r"lacks bridge$"):
+        StepsInARow(nodes, given | {"bridge": 1}, None)
     (symmetric,) = nodes.damping.values()
     assert type(symmetric) is SymmetricDamping
     (term,) = [found for term in model.operators.terms if (found := term.mean_damping()) is not None]
@@ -397,9 +404,14 @@ def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     file = without_supports(scene)
     run(load(file), tmp_path / "rows", MPI.COMM_SELF)
     assert taken and all(count == done > 1 for count, done in taken)
-    with pytest.raises(KeyboardInterrupt):
-        run(load(file, ["output.checkpoint_every=1"]), tmp_path / "parts", MPI.COMM_SELF, progress=stop)
-    resume(tmp_path / "parts", MPI.COMM_SELF)
+    at_once, loops = [], library().fracflow_steps
+    with monkeypatch.context() as few:
+        few.setattr(in_a_row, "MOST_AT_ONCE", 6e3)
+        few.setattr(library(), "fracflow_steps", lambda given, *some: at_once.append(some) or loops(given, *some))
+        with pytest.raises(KeyboardInterrupt):
+            run(load(file, ["output.checkpoint_every=1"]), tmp_path / "parts", MPI.COMM_SELF, progress=stop)
+        resume(tmp_path / "parts", MPI.COMM_SELF)
+    assert {count for count, end in at_once if not end} == {3} and max(count for count, _ in at_once) == 3
     taken.clear()
     monkeypatch.setattr(StepsInARow, "_most_pressed", lambda self, sections: -1.0000001 * sections.traction[:, 1].min())
     run(load(file), tmp_path / "mixed", MPI.COMM_SELF)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 7  # of the functions' arguments, as in rock.c
+VERSION = 8  # of the functions' arguments, as in rock.c
 _INT, _LONG, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 14, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -38,7 +39,7 @@ _FUNCTIONS = {
     "fracflow_gain": (_REAL, (_INT, *[_ARRAY] * 4)),
     "fracflow_before": (None, (_INT, *[_ARRAY] * 8)),
     "fracflow_after": (_INT, (_INT, *[_ARRAY] * 4)),
-    "fracflow_steps": (_LONG, (_ARRAY, _LONG)),
+    "fracflow_steps": (_LONG, (_ARRAY, _LONG, _INT)),
     "fracflow_piece": (None, (_ARRAY, _INT, _INT)),
     "fracflow_triad": (None, (_INT, *[_ARRAY] * 3, _REAL)),
 }
@@ -59,6 +60,32 @@ def library() -> ctypes.CDLL | None:
             continue
         return found
     return None
+
+
+@cache
+def steps_struct() -> type[ctypes.Structure]:
+    """``steps`` of ``steps.c``, made from its text, so that both have the same members.
+
+    Raises ImportError where the text is read otherwise than the compiler did.
+    """
+    loops, fields = library(), list[tuple[str, Any]]()
+    assert loops is not None
+    text = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(loops, "fracflow_steps_members"))).decode()
+    for declaration in text.replace("const ", "").split(";")[:-1]:
+        kind, names = declaration.split(maxsplit=1)
+        for each in names.split(","):
+            found: Any = _ARRAY if "*" in each else {"int64_t": _LONG, "double": _REAL}[kind]
+            name = each.strip("* ").removesuffix("[2]")
+            fields.append((name, found * 2 if each.endswith("[2]") else found))
+    made = type("Steps", (ctypes.Structure,), {"_fields_": fields})
+    if ctypes.sizeof(made) != ctypes.c_int64.in_dll(loops, "fracflow_steps_size").value:
+        raise ImportError("the text of steps.c is not read as its compiler does: set up again")
+    return made
+
+
+def members_of_steps() -> set[str]:
+    """Their names."""
+    return {name for name, *_ in steps_struct()._fields_}
 
 
 def address(values: NDArray[np.generic]) -> int:

@@ -10,7 +10,7 @@ import ctypes
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,50 +19,21 @@ from fracflow.integrators.explicit import joint_share
 from fracflow.laws.compiled import Answers
 from fracflow.mesh.data import Floats
 from fracflow.model.state import Sections
-from fracflow.solve.leapfrog.compiled import address, library
+from fracflow.solve.leapfrog.compiled import address, library, members_of_steps, steps_struct
 from fracflow.solve.leapfrog.guess import JointGuess
 from fracflow.solve.leapfrog.joint_nodes import JointNodes
 from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.leapfrog.on_ranks import Beyond, beyond
 from fracflow.solve.leapfrog.rock import Cells
 
-_LONG, _REAL, _ARRAY = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-_PAIR = _ARRAY * 2
+MOST_AT_ONCE = 1e7  # unknowns times steps between two looks at signals: .1 to .4 s
 _JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(6)  # as in steps.c
+OF_A_ROW = {
+    "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
+    "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "of_damping", "energy", "iterations", "left",
+}  # fmt: skip
+"""Members of ``steps`` that each row sets anew."""
 COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
-
-
-def _all(names: str, kind: type) -> list[tuple[str, type]]:
-    return [(name, kind) for name in names.split()]
-
-
-class Given(ctypes.Structure):
-    """``steps`` of ``steps.c``, name by name."""
-
-    _fields_ = [
-        *_all("sections every forced pushed own both ranges batches terms damped", _LONG),
-        *_all("sections_all pushed_all ghosts first_ghost early owned whole threes fours", _LONG),
-        *_all("is_coupled has_path most most_changes", _LONG),
-        *_all("dt share most_pressed", _REAL),
-        *_all("node top of_three of_four oblique triangles quads quiet rock_three rock_four", _ARRAY),
-        *_all("moduli x inverse e u v f", _ARRAY),
-        *_all("triangles_late quads_late rock_three_late rock_four_late", _ARRAY),
-        *_all("starts at to entries weights inverse_pushed of_pushed places places_forced places_pushed", _ARRAY),
-        *_all("moved free sizes force added scratch forces base ghost_v", _ARRAY),
-        *_all("accelerations", _PAIR),
-        *_all("laws before found shapes rows compliance", _ARRAY),
-        *_all("strain values record blur", _PAIR),
-        *_all("friction", _ARRAY),
-        *_all("statuses", _PAIR),
-        *_all("at_own places_own shared inverse_own dashpots resisting u_own a_own a_rock", _ARRAY),
-        *_all("damping_starts damping_columns damping", _ARRAY),
-        *_all("damped_forces", _PAIR),
-        *_all("of_joints", _ARRAY),
-        *_all("scheme of_damping", _REAL),
-        *_all("of_terms", _ARRAY),
-        *_all("energy iterations left", _REAL),
-        *_all("agreed", _ARRAY),
-    ]
 
 
 class Held(NamedTuple):
@@ -121,7 +92,12 @@ class StepsInARow:
             self._arrays[name] = np.ascontiguousarray(numbers, np.int64)
         self._blocks = [np.ascontiguousarray(each.blocks[0]) for each in nodes.dashpots.values()]
         self._arrays["dashpots"] = np.array([*map(address, self._blocks)], np.int64)
-        self._given = Given(**given, **counts, **{name: address(each) for name, each in self._arrays.items()})
+        values = {**given, **counts, **{name: address(each) for name, each in self._arrays.items()}}
+        self.given = values.keys()
+        if wrong := (self.given | OF_A_ROW) - members_of_steps():
+            raise AssertionError(f"steps.c lacks {', '.join(sorted(wrong))}")
+        self._given: Any = steps_struct()(**values)
+        self._at_once = max(1, round(MOST_AT_ONCE / max(1, nodes.operators.layout.solid_count)))
 
     def take(self, held: Held, base: Floats, dt: float, count: int) -> Row | None:
         """Up to ``count`` steps of length dt, the last of them up to an instant; None where the first needs laws. Collective.
@@ -131,6 +107,8 @@ class StepsInARow:
         given, nodes, loops = self._given, self.nodes, library()
         assert loops is not None
         given.most_pressed = self._most_pressed(held.sections)
+        if self._is_refused(given.most_pressed):
+            return None
         given.dt, given.share = dt, joint_share(dt)
         inverse = nodes.inverse_with_dashpots(dt).blocks[0]
         (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
@@ -156,7 +134,7 @@ class StepsInARow:
             getattr(given, name)[:] = [*map(address, pair)]
         given.scheme = given.of_damping = given.energy = given.iterations = given.left = 0.0
         at = ctypes.addressof(given)
-        done = int(loops.fracflow_steps(at, count)) if self._others is None else self._pieces(at, count, self._others)
+        done = self._steps(at, count) if self._others is None else self._pieces(at, count, self._others)
         if not done:
             return None
         last = {name: pairs[name][done % 2] for name in pairs}
@@ -170,6 +148,18 @@ class StepsInARow:
             taken[name] = taken.get(name, 0.0) + given.of_damping
         new = Held(sections, friction, last["accelerations"], resisting, damped)
         return Row(done, new, given.energy, given.scheme, taken, joints, round(given.iterations), given.left)
+
+    def _steps(self, given: int, count: int) -> int:
+        """Steps on one rank, by calls that are short enough for a signal to be met between them."""
+        loops, done = library(), 0
+        assert loops is not None
+        while done < count:
+            some = min(self._at_once, count - done)
+            taken = int(loops.fracflow_steps(given, some, done + some == count))
+            done += taken
+            if taken < some:
+                break
+        return done
 
     def _pieces(self, given: int, count: int, others: Beyond) -> int:
         """Steps on several ranks, as many on each. Collective."""
@@ -221,8 +211,18 @@ class StepsInARow:
         if self._others is not None:
             self._others.destroy()
 
+    def _is_refused(self, most_pressed: float) -> bool:
+        """Whether no compression is known on any rank at which no section jumps. Collective."""
+        is_here = most_pressed == -np.inf
+        return (
+            is_here if self._others is None else bool(self.nodes.operators.layout.comm.allreduce(is_here, op=MPI.LOR))
+        )
+
     def _most_pressed(self, sections: Sections) -> float:
-        """Up to which compression no strength falls so fast that a section jumps, as far as that is known [stress]."""
+        """Up to which compression no strength falls so fast that a section jumps, as far as that is known [stress].
+
+        -inf where none is known, as of tractions that are no numbers.
+        """
         if self._friction is None:
             return np.inf
         law, present = self.nodes.operators.joints.laws[0].law, -float(sections.traction[:, 1].min(initial=0.0))

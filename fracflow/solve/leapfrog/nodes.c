@@ -81,7 +81,7 @@ double fracflow_gain(int32_t n, const double *inverse, const double *force, cons
 typedef double four __attribute__((vector_size(32), aligned(8)));
 
 /* y = by A x of a symmetric matrix in blocks of two, by its blocks on and right of the diagonal; the first of a row is on it. The
-   sum of (y + before) times ``moved``. Takes y off ``force``. */
+   sum of (y + before) times ``moved``. Takes y off ``force``. Columns from n on, of other ranks, add to y there: none reads it. */
 FOR_MACHINES double fracflow_damp(int32_t n, const int32_t *starts, const int32_t *columns, const double *blocks, double by, const double *moved,
                              const double *before, double *y, double *force) {
   double work = 0.0;

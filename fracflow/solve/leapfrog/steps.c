@@ -5,8 +5,14 @@
 #include <math.h>
 #include <string.h>
 
-/* As ``in_a_row.Given`` has it: 8 bytes each. Arrays in pairs are those before a step and after it, which change places. */
-typedef struct {
+/* The struct, and its text, from which ``compiled.py`` makes the same one. */
+#define STEPS(...) \
+  typedef struct { __VA_ARGS__ } steps; \
+  const char fracflow_steps_members[] = #__VA_ARGS__; \
+  const int64_t fracflow_steps_size = sizeof(steps);
+
+/* All are of 8 bytes. Arrays in pairs are those before a step and after it, which change places. */
+STEPS(
   int64_t sections, every, forced, pushed, own, both, ranges, batches, terms, damped;
   /* sections and pushed unknowns with those of other ranks behind this one's; unknowns of others, and their first place */
   int64_t sections_all, pushed_all, ghosts, first_ghost;
@@ -52,7 +58,7 @@ typedef struct {
   double iterations, left;
   /* of joints in a step, the most over ranks: whether there is no answer, iterations, motion, and what is left of it */
   double *agreed;
-} steps;
+)
 
 static void swap(double **pair) {
   double *kept = pair[0];
@@ -196,10 +202,10 @@ void fracflow_piece(steps *s, int32_t piece, int32_t is_last) {
 }
 
 /* Up to ``count`` steps on one rank, and how many there were: one that joints need the laws for is not begun. The last of them
-   all ends at an instant. */
-int64_t fracflow_steps(steps *s, int64_t count) {
+   all ends at an instant where they ``end`` there. */
+int64_t fracflow_steps(steps *s, int64_t count, int32_t end) {
   for (int64_t k = 0; k < count; k++) {
-    const int is_last = k == count - 1;
+    const int is_last = end && k == count - 1;
     const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
     joints_balance(s);
     if (s->agreed[0] > 0.0) return k;
