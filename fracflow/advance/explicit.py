@@ -19,6 +19,7 @@ from fracflow.model.state import COUNTS, State, StepReport
 from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
+from fracflow.solve.leapfrog.ahead import StepsAhead
 from fracflow.solve.request import StepRequest, on_the_way
 from fracflow.solve.residual import refuse_few, significant_digits
 
@@ -127,7 +128,7 @@ class ExplicitSubsteps:
         try:
             done = 0
             while done < count:
-                row = explicit.leapfrog.in_a_row(count - done, request.hold)
+                row = explicit.leapfrog.in_a_row(StepsAhead(request, state.controls, count, then, done))
                 if row is not None:
                     solved = row.done if explicit.model.operators.blocks.sizes.joints else 0
                     reports.append(StepReport(row.iterations, cycles=1, solid_residual=row.left, solved=solved))

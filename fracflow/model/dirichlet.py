@@ -20,6 +20,7 @@ from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
 
 Values = Callable[..., "float | Floats"]
 """(time, around = AT_ONCE) -> one value or one for each; ``around`` selects the side of a jump that counts."""
+Tables = tuple[tuple[TimeTable, float | Floats], ...]
 AXES = ("x", "y", "z")
 APART = 1e-12  # of the largest motion there: less is round-off of its tables
 
@@ -34,6 +35,13 @@ class PrescribedValues:
     numbers: Ints
     value: Values
     well: str = ""
+
+    @property
+    def tables(self) -> Tables | None:
+        """Tables over time and their weights, one or (n,), of which it is the sum; None where it is another function."""
+        if isinstance(self.value, TimeTable):
+            return ((self.value, 1.0),)
+        return self.value.tables if isinstance(self.value, _AtPlaces) else None
 
     def speed(self, time: float, around: Around) -> float | Floats:
         """Mean velocity (n,) over the halves of the steps ``around`` a time; does not ring at jumps, as Newmark's would."""
@@ -100,16 +108,51 @@ def prescribe(
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
     numbers, taken = everywhere[here] - starts[comm.rank], np.union1d(taken, everywhere)
-    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), taken
+    return PrescribedValues(numbers, _AtPlaces(value, with_it)), taken
 
 
-def motion(support: Support, part: str) -> Callable[..., Any]:
-    """Displacement of a supported component over time at places (n, dim), jumps as ``TimeTable.around`` has them."""
+@dataclass(frozen=True)
+class SupportMotion:
+    """Displacement of a supported component over time, and its gradient along each axis, if any."""
+
+    base: TimeTable
+    gradient: tuple[TimeTable, ...] = ()
+
+    def __call__(self, time: float, place: Floats, around: Around) -> float | Floats:
+        """At places (n, dim), jumps as ``TimeTable.around`` has them."""
+        if not self.gradient:
+            return self.base(time, around)
+        slope = np.array([entry(time, around) for entry in self.gradient])
+        found: Floats = self.base(time, around) + place @ slope
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _AtPlaces:
+    """A function of time, of data that stay, places (n, dim) for one, and of what is ``around`` the time."""
+
+    function: Callable[..., Any]
+    data: Any
+
+    def __call__(self, time: float, around: Around = AT_ONCE) -> float | Floats:
+        found: float | Floats = self.function(time, self.data, around)
+        return found
+
+    @property
+    def tables(self) -> Tables | None:
+        """See ``PrescribedValues``."""
+        if not isinstance(self.function, SupportMotion):
+            return None
+        slopes = zip(self.function.gradient, np.transpose(self.data), strict=False)
+        return ((self.function.base, 1.0), *slopes)
+
+
+def motion(support: Support, part: str) -> SupportMotion:
+    """Displacement of a supported component."""
     base = (support.displacement or {}).get(part, TimeTable.constant(0.0))
     if support.displacement_gradient is None or part not in AXES:
-        return lambda time, place, around: base(time, around)
-    row = support.displacement_gradient[AXES.index(part)]
-    return lambda time, place, around: base(time, around) + place @ np.array([entry(time, around) for entry in row])
+        return SupportMotion(base)
+    return SupportMotion(base, tuple(support.displacement_gradient[AXES.index(part)]))
 
 
 def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) -> Iterator[str]:

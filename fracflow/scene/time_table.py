@@ -159,6 +159,15 @@ class TimeTable:
             result = result + size * (share - is_past)
         return result
 
+    def sampled(self, times: Floats, before: float, after: float) -> Floats:
+        """``around`` and ``bent`` at times (n,)."""
+        found = self.around(times, before, after)
+        if before > 0.0 and len(self.times) > 1:
+            at = np.sort(self.kinks[0])
+            for k in np.flatnonzero(np.searchsorted(at, times) > np.searchsorted(at, times - before)):
+                found[k] += self._bent(float(times[k]), before, after)
+        return found
+
     def mean(self, begin: float, end: float) -> float:
         """Its integral between two times over the time between them, to round-off; ``begin`` < ``end``."""
         return self._once(("mean", begin, end), lambda: self._mean(begin, end))

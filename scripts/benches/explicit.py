@@ -2,6 +2,7 @@
 
 With --rupture SIDE instead all of meshes/rupture on squares of that side: CPU seconds between its first state and its last.
 With --sections FAULTS... instead the cost of a joint section in unknowns, by rocks with so many faults beside each other.
+With --loads the south is held, and two loads on the north change in time.
 
 A rupture of a fault between four absorbing sides, in rock of so many unknowns. Counted are CPU seconds of a rank between the
 first and the last state on record, so that joints, sides, energies and history are in them; a state is on record every
@@ -19,7 +20,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,17 @@ def scene_of(size: float, steps: int, faults: int = 1) -> dict[str, Any]:
     }  # fmt: skip
 
 
+LOADED: dict[str, Any] = {
+    "absorbing": [{"on": ["west", "east"]}],
+    "support": [{"on": "south", "components": ["y"]}],
+    "load": [
+        {"on": ["north", "south"], "traction": "initial-stress"},
+        {"on": ["north"], "traction": [[[0, 0], [0.5, 1e6], [1.0, -1e6], [2, 0]], 0]},
+        {"on": ["north"], "pressure": [[0, 0], [1.5, 2e6]]},
+    ],
+}
+
+
 def size_of(unknowns: float, cells: str) -> float:
     """Side of cells of a rock with about so many unknowns [m]."""
     of_one = 0.5 * np.sqrt(0.75) if cells == "triangles" else 1.0
@@ -74,13 +86,13 @@ def size_of(unknowns: float, cells: str) -> float:
     return float(np.sqrt(AREA / of_one * nodes_a_cell / (0.5 * unknowns)))
 
 
-def prepared(unknowns: float, cells: str, faults: int = 1) -> Any:
+def prepared(unknowns: float, cells: str, faults: int = 1, loads: bool = False) -> Any:
     """The scene; its steps are as long as the critical one."""
     from fracflow._petsc import MPI
     from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
-    data = scene_of(size_of(unknowns, cells), 1, faults)
+    data = scene_of(size_of(unknowns, cells), 1, faults) | (LOADED if loads else {})
     data["geometry"]["cells"] = cells
     return data, prepare(Scene.from_data(data), MPI.COMM_WORLD)
 
@@ -211,12 +223,12 @@ def section(unknowns: float, cells: str, faults: list[int], way: Way) -> dict[st
     }  # fmt: skip
 
 
-def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) -> dict[str, Any]:
+def measure(unknowns: float, cells: str, loads: bool, way: Way) -> dict[str, Any]:
     """All numbers of one rock."""
     from fracflow._petsc import MPI
     from fracflow.solve.explicit import ExplicitModel
 
-    data, model = prepared(unknowns, cells)
+    data, model = prepared(unknowns, cells, loads=loads)
     count = int(model.operators.layout.solid_starts[-1])
     sections = 2 * model.operators.blocks.sizes.joints
     alone, size = sweep(model)
@@ -226,7 +238,7 @@ def measure(unknowns: float, cells: str, parts: int, states: int, folder: Path) 
     del model
     small = prepared(CACHED, cells)[1]
     cached = sweep(small)[0] / small.operators.layout.solid_count
-    step, ranks = whole(data, critical, Way(parts, states, 1, folder)), MPI.COMM_WORLD.size
+    step, ranks = whole(data, critical, replace(way, turns=1)), MPI.COMM_WORLD.size
     by_memory, by_arithmetic = triad() / size, 1.0 / cached
     rate, bound = count / step / ranks, min(by_memory or np.inf, by_arithmetic)
     return {
@@ -251,6 +263,7 @@ def main() -> None:
     parser.add_argument(
         "--sections", nargs="+", type=int, default=[], help="faults of rocks that tell the cost of a section"
     )
+    parser.add_argument("--loads", action="store_true", help="loads that change, and a support")
     parser.add_argument("--turns", type=int, default=3, help="runs of each of those rocks")
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/bench/explicit"))
@@ -277,7 +290,7 @@ def main() -> None:
                 rows.append(section(unknowns, cells, sorted(given.sections), way))
                 slow |= max(rows[-1]["section_in_unknowns"]["step"]) > MOST_OF_SECTION
             else:
-                rows.append(measure(unknowns, cells, way.parts, way.states, way.folder))
+                rows.append(measure(unknowns, cells, given.loads, way))
                 slow |= rows[-1]["unknown_steps_per_CPU_s"] < ASKED and unknowns >= min(UNKNOWNS)
             if comm.rank == 0:
                 print(json.dumps(rows[-1]), flush=True)

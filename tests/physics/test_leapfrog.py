@@ -311,7 +311,7 @@ def test_compiled_passes_are_those_of_numpy(scene):
     given = dict.fromkeys(("sections_all", "pushed_all", "first_ghost", "ghosts"), 0)
     given |= {name: value for part in parts for name, value in part.given().items()}
     row = StepsInARow(nodes, given, None)
-    assert members_of_steps() - given.keys() - in_a_row.OF_A_ROW - row.given == {"ghost_v"}  # of other ranks
+    assert members_of_steps() - given.keys() - in_a_row.OF_A_ROW - row.given == set()
     with pytest.raises(AssertionError, match=r"lacks bridge$"):
         StepsInARow(nodes, given | {"bridge": 1}, None)
     (symmetric,) = nodes.damping.values()
@@ -324,10 +324,9 @@ def test_compiled_passes_are_those_of_numpy(scene):
         assert np.abs(one - other).max() <= 1e-13 * np.abs(other).max() and np.abs(other).max() > 0.0
 
 
-def without_supports(scene):
+def without_waves(scene):
     """A scene whose steps the loops take in a row, beside the other; for one rank to write."""
-    kept = [each for each in re.split(r"\n(?=\[)", SCENE) if not each.startswith("[[support]]") and "[[[0" not in each]
-    longer = "\n".join(kept).replace("12e-3", "30e-3").replace("end = 0.09", "end = 0.3")
+    longer = SCENE.replace("12e-3", "30e-3").replace("end = 0.09", "end = 0.3")
     file = scene.with_name("rupture.toml")
     file.write_text(re.sub(r"(?m)^wave = .*\n", "", longer))
     return file
@@ -338,9 +337,9 @@ def taken(monkeypatch):
     """How many steps loops are to take in a row, and how many they do, each time."""
     found, take = [], StepsInARow.take
 
-    def counted(self, held, base, dt, count):
-        row = take(self, held, base, dt, count)
-        found.append((count, row.done if row is not None else 0))
+    def counted(self, held, base, beside, ahead):
+        row = take(self, held, base, beside, ahead)
+        found.append((ahead.left, row.done if row is not None else 0))
         return row
 
     monkeypatch.setattr(StepsInARow, "take", counted)
@@ -356,7 +355,7 @@ def test_ranks_agree(scene, shared_tmp, taken, monkeypatch):
     """With all that acts, and where loops take all steps in a row, or stop on one rank before the others would."""
     comm = MPI.COMM_WORLD
     if comm.rank == 0:
-        without_supports(scene)
+        without_waves(scene)
         for name in ("scene", "rupture"):
             run(load(scene.with_name(f"{name}.toml")), shared_tmp / f"{name} one", MPI.COMM_SELF)
     comm.barrier()
@@ -401,7 +400,7 @@ def test_goes_on_to_the_bit(scene, tmp_path):
 @pytest.mark.skipif(library() is None, reason="loops are not compiled here")
 def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     """They are those that Python takes one by one, also where they stop for some of these, and go on to the bit."""
-    file = without_supports(scene)
+    file = without_waves(scene)
     run(load(file), tmp_path / "rows", MPI.COMM_SELF)
     assert taken and all(count == done > 1 for count, done in taken)
     at_once, loops = [], library().fracflow_steps
@@ -421,7 +420,7 @@ def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     single, rows, parts = (read_history(tmp_path / name / "history.h5") for name in ("single", "rows", "parts"))
     largest = max(np.abs(values).max() for name, values in single.items() if name.startswith("energy/"))
     assert np.abs(rows["energy/residual"]).max() < 1e-10 * largest
-    for name in ("kinetic", "radiated", "damping", "friction"):
+    for name in ("kinetic", "radiated", "damping", "friction", "work_boundaries"):
         assert np.abs(single[f"energy/{name}"]).max() > 1e-6 * largest, name  # all of them act
     for name in ("rows", "mixed"):
         assert_alike(tmp_path / "single", tmp_path / name, 1e-13)

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import tomllib
 from hypothesis import given
@@ -63,6 +64,11 @@ def test_table_interpolates_and_takes_the_mean_at_jumps():
     assert [step(t) for t in (-1, 0, 0.1, 3 * 0.1, 0.31, 1, 2)] == [1, 1, 1, 3, 5, 2, -1]
     assert TimeTable.constant(7.0)(3) == 7
     assert TimeTable((0.0, 0.0), (0.0, 1.0))(0.0) == 0.5
+    times = np.linspace(-0.4, 2.5, 25)
+    for table in (linear, step, TimeTable.constant(7.0)):
+        for around in ((0.12, 0.12), (0.12, 0.0), (0.0, 0.1)):
+            one_by_one = [table(time, around) + table.bent(time, *around) for time in times]
+            assert np.abs(table.sampled(times, *around) - one_by_one).max() < 1e-15
 
 
 def test_tables_of_a_scene(make):

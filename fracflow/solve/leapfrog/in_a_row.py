@@ -1,7 +1,8 @@
 """Explicit steps in a row by ``steps.c``, without a call of Python between them, where all that acts has compiled loops.
 
-That is plain rock, joints whose law has a compiled answer, sides of dashpots, and one term that damps. Where a step needs the
-laws themselves, the loops stop before it. On several ranks a step is a few calls, between which values travel.
+That is plain rock, joints whose law has a compiled answer, sides of dashpots, one term that damps, supports, and loads that
+change. Where a step needs the laws themselves, the loops stop before it. On several ranks a step is a few calls, between which
+values travel.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from fracflow.integrators.explicit import joint_share
 from fracflow.laws.compiled import Answers
 from fracflow.mesh.data import Floats
 from fracflow.model.state import Sections
+from fracflow.solve.leapfrog.ahead import MOST_KEPT, StepsAhead, SupportsAt, is_tabled, loads_at, supports_at
 from fracflow.solve.leapfrog.compiled import address, library, members_of_steps, steps_struct
 from fracflow.solve.leapfrog.guess import JointGuess
 from fracflow.solve.leapfrog.joint_nodes import JointNodes
@@ -27,10 +29,11 @@ from fracflow.solve.leapfrog.on_ranks import Beyond, beyond
 from fracflow.solve.leapfrog.rock import Cells
 
 MOST_AT_ONCE = 1e7  # unknowns times steps between two looks at signals: .1 to .4 s
-_JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(6)  # as in steps.c
+_MOTION, _JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(7)  # as in steps.c
 OF_A_ROW = {
     "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
-    "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "of_damping", "energy", "iterations", "left",
+    "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "boundaries", "of_damping", "energy", "left",
+    "iterations", "row", "loads", "held_at", "held_speed", "held_acceleration", "support",
 }  # fmt: skip
 """Members of ``steps`` that each row sets anew."""
 COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
@@ -42,6 +45,8 @@ class Held(NamedTuple):
     sections      of all joints, and the work of friction (s,) there [energy/area]
     acceleration  (p,) at ``Nodes.pushed`` [length/time^2]
     resisting     (o,) forces of dashpots at ``Nodes.own``, by terms, and ``damped`` (n,) of what damps [force per thickness]
+    load          (m,) at ``Nodes.changing``, and ``support`` (h,) forces of supports [force per thickness]
+    supports      how these move
     """
 
     sections: Sections
@@ -49,12 +54,15 @@ class Held(NamedTuple):
     acceleration: Floats
     resisting: Mapping[str, Floats]
     damped: Mapping[str, Floats]
+    load: Floats
+    support: Floats
+    supports: SupportsAt
 
 
 class Row(NamedTuple):
     """Steps that were taken, how many, and their sums.
 
-    energy          strain energy of the rock at the last one;  ``scheme``, ``taken`` and ``joints`` as of ``steps.BalanceSums``
+    energy          strain energy of the rock at the last one;  others are as of ``steps.BalanceSums``
     iterations      of joints, and the most that was left of their motion, over the largest
     """
 
@@ -62,6 +70,7 @@ class Row(NamedTuple):
     held: Held
     energy: float
     scheme: float
+    boundaries: float
     taken: Mapping[str, float]
     joints: Floats
     iterations: int
@@ -80,16 +89,28 @@ class StepsInARow:
         self._places, self._agreed = every, np.zeros(4)
         shared = np.stack([nodes.pushed_own, nodes.own_pushed], axis=1)
         counts = {"own": own, "both": len(shared), "terms": len(nodes.dashpots)}
+        counts |= {"loaded": len(nodes.at_loads), "held": len(nodes.held)}
         self._arrays: dict[str, np.ndarray] = {
             name: np.zeros(size)
             for name, size in {
-                "moved": every, "free": 2 * sections, "sizes": 2 * sections, "force": pushed, "added": pushed,
+                "free": 2 * sections, "sizes": 2 * sections, "force": pushed, "added": pushed,
                 "scratch": pushed, "forces": every, "u_own": own, "a_own": own,
             }.items()
         }  # fmt: skip
-        self._arrays["agreed"] = self._agreed
-        for name, numbers in {"at_own": nodes.at_own, "places_own": nodes.places_own, "shared": shared}.items():
-            self._arrays[name] = np.ascontiguousarray(numbers, np.int64)
+        self._arrays["moved"] = np.zeros(every) if others is None else others.moved
+        self._arrays |= {
+            "agreed": self._agreed,
+            "mass_own": nodes.mass[nodes.own],
+            "prestress": nodes.prestress[nodes.places[nodes.at_loads]],
+        }
+        held_of_own = np.full(own, -1)
+        held_of_own[nodes.held_of_own] = np.arange(len(nodes.held))
+        numbers = {
+            "at_own": nodes.at_own, "places_own": nodes.places_own, "shared": shared, "at_loads": nodes.at_loads,
+            "by_loads": nodes.by_loads, "at_held": nodes.at_held, "places_held": nodes.places[nodes.at_held],
+            "held_of_own": held_of_own,
+        }  # fmt: skip
+        self._arrays |= {name: np.ascontiguousarray(each, np.int64) for name, each in numbers.items()}
         self._blocks = [np.ascontiguousarray(each.blocks[0]) for each in nodes.dashpots.values()]
         self._arrays["dashpots"] = np.array([*map(address, self._blocks)], np.int64)
         values = {**given, **counts, **{name: address(each) for name, each in self._arrays.items()}}
@@ -97,15 +118,16 @@ class StepsInARow:
         if wrong := (self.given | OF_A_ROW) - members_of_steps():
             raise AssertionError(f"steps.c lacks {', '.join(sorted(wrong))}")
         self._given: Any = steps_struct()(**values)
-        self._at_once = max(1, round(MOST_AT_ONCE / max(1, nodes.operators.layout.solid_count)))
+        widest, unknowns = max(len(nodes.at_loads), len(nodes.held)), nodes.operators.layout.solid_count
+        self._at_once = max(1, round(min(MOST_AT_ONCE / max(1, unknowns), MOST_KEPT / max(1, widest))))
 
-    def take(self, held: Held, base: Floats, dt: float, count: int) -> Row | None:
-        """Up to ``count`` steps of length dt, the last of them up to an instant; None where the first needs laws. Collective.
+    def take(self, held: Held, base: Floats, beside: Floats, ahead: StepsAhead) -> Row | None:
+        """Some of the steps ahead, the last of all up to an instant; None where the first needs laws. Collective.
 
-        base  (m,) forces that stay, on those of ``Nodes.every`` on which others act [force per thickness]
+        base    (m,) forces that stay, on those of ``Nodes.every`` on which others act [force per thickness]
+        beside  (l,) loads that stay where others change [force per thickness]
         """
-        given, nodes, loops = self._given, self.nodes, library()
-        assert loops is not None
+        given, nodes, dt = self._given, self.nodes, ahead.dt
         given.most_pressed = self._most_pressed(held.sections)
         if self._is_refused(given.most_pressed):
             return None
@@ -127,14 +149,23 @@ class StepsInARow:
         resisting = {name: held.resisting[name].copy() for name in nodes.dashpots}
         of_terms, joints = np.zeros(len(resisting)), np.zeros(5)
         addresses = np.array([*map(address, resisting.values())], np.int64)
-        singles = {"base": base, "inverse_own": inverse, "friction": friction, "of_terms": of_terms}
+        support = held.support.copy()
+        singles = {"base": base, "inverse_own": inverse, "friction": friction, "of_terms": of_terms, "support": support}
         for name, values in (singles | {"of_joints": joints, "resisting": addresses}).items():
             setattr(given, name, address(values))
         for name, pair in (pairs | {"statuses": (before.statuses, after.statuses)}).items():
             getattr(given, name)[:] = [*map(address, pair)]
-        given.scheme = given.of_damping = given.energy = given.iterations = given.left = 0.0
-        at = ctypes.addressof(given)
-        done = self._steps(at, count) if self._others is None else self._pieces(at, count, self._others)
+        given.scheme = given.boundaries = given.of_damping = given.energy = given.iterations = given.left = 0.0
+        done, load, supports = 0, held.load, held.supports
+        while done < ahead.left:
+            some = min(self._at_once, ahead.left - done)
+            tables = self._tables(
+                load, supports, loads_at(nodes, beside, ahead, done, some), supports_at(nodes, ahead, done, some)
+            )
+            taken = self._steps(some, done + some == ahead.left)
+            done, load, supports = done + taken, tables[0][taken], SupportsAt(*(each[taken] for each in tables[1:]))
+            if taken < some:
+                break
         if not done:
             return None
         last = {name: pairs[name][done % 2] for name in pairs}
@@ -143,47 +174,50 @@ class StepsInARow:
             found = nodes.operators.joints.answered(last["strain"][: self._count].copy(), response)
             sections = replace(found, record=last["record"], blur=last["blur"])
         damped = {name: last["damped_forces"][: len(values)].copy() for name, values in held.damped.items()}
-        taken = dict(zip(resisting, of_terms.tolist(), strict=True))
+        taken_by = dict(zip(resisting, of_terms.tolist(), strict=True))
         for name in damped:
-            taken[name] = taken.get(name, 0.0) + given.of_damping
-        new = Held(sections, friction, last["accelerations"], resisting, damped)
-        return Row(done, new, given.energy, given.scheme, taken, joints, round(given.iterations), given.left)
+            taken_by[name] = taken_by.get(name, 0.0) + given.of_damping
+        new = Held(sections, friction, last["accelerations"], resisting, damped, load, support, supports)
+        sums = given.energy, given.scheme, given.boundaries, taken_by, joints
+        return Row(done, new, *sums, round(given.iterations), given.left)
 
-    def _steps(self, given: int, count: int) -> int:
-        """Steps on one rank, by calls that are short enough for a signal to be met between them."""
-        loops, done = library(), 0
+    def _tables(self, load: Floats, supports: SupportsAt, loads: Floats, moving: SupportsAt) -> list[Floats]:
+        """Tables whose first rows are the present load (m,) and supports; the loops begin there."""
+        pairs = [(load, loads), *zip(supports, moving, strict=True)]
+        tables = [np.vstack([now, then]) for now, then in pairs]
+        for name, table in zip(("loads", "held_at", "held_speed", "held_acceleration"), tables, strict=True):
+            setattr(self._given, name, address(table))
+        self._given.row = 0
+        return tables
+
+    def _steps(self, some: int, end: bool) -> int:
+        """Up to ``some`` steps, and how many: one that joints need the laws for is not begun. Collective."""
+        loops, others, at = library(), self._others, ctypes.addressof(self._given)
         assert loops is not None
-        while done < count:
-            some = min(self._at_once, count - done)
-            taken = int(loops.fracflow_steps(given, some, done + some == count))
-            done += taken
-            if taken < some:
-                break
-        return done
-
-    def _pieces(self, given: int, count: int, others: Beyond) -> int:
-        """Steps on several ranks, as many on each. Collective."""
-        loops, comm, rock = library(), self.nodes.operators.layout.comm, self.nodes.rock
-        assert loops is not None and isinstance(rock, Cells) and rock.way is not None
-        piece, way, speeds = loops.fracflow_piece, rock.way, others.way
-        for done in range(count):
-            is_last = done == count - 1
-            speeds.begin()
-            speeds.end()
-            piece(given, _JOINTS, is_last)
+        if others is None:
+            return int(loops.fracflow_steps(at, some, end))
+        comm, rock = self.nodes.operators.layout.comm, self.nodes.rock
+        assert isinstance(rock, Cells) and rock.way is not None
+        piece, way = loops.fracflow_piece, rock.way
+        for done in range(some):
+            is_last = end and done == some - 1
+            piece(at, _MOTION, is_last)
+            others.way.begin()
+            others.way.end()
+            piece(at, _JOINTS, is_last)
             comm.Allreduce(MPI.IN_PLACE, self._agreed, op=MPI.MAX)
             if self._agreed[0] > 0.0:
                 return done
-            piece(given, _FORCES, is_last)
+            piece(at, _FORCES, is_last)
             way.begin()
-            piece(given, _FIRST_HALF, is_last)
+            piece(at, _FIRST_HALF, is_last)
             way.end()
-            piece(given, _LATE_CELLS, is_last)
+            piece(at, _LATE_CELLS, is_last)
             way.begin_back()
-            piece(given, _SECOND_HALF, is_last)
+            piece(at, _SECOND_HALF, is_last)
             way.end_back()
-            piece(given, _END, is_last)
-        return count
+            piece(at, _END, is_last)
+        return some
 
     def _all_sections(self, sections: Sections) -> tuple[Floats, Answers]:
         """Strains and answers of this rank's sections, and those of others behind them. Collective."""
@@ -234,7 +268,7 @@ def steps_in_a_row(
     nodes: Nodes, passes: JointNodes, guess: JointGuess | None, damping: list[PETSc.Mat]
 ) -> StepsInARow | None:
     """The loops; None where something acts that they do not have. ``damping`` are matrices of what damps. Collective."""
-    others = nodes.operators.flow is not None or nodes.changing.is_any or len(nodes.held) > 0 or len(damping) > 1
+    others = nodes.operators.flow is not None or not is_tabled(nodes) or len(damping) > 1
     others = bool(others or nodes.waves or nodes.springs)
     if nodes.operators.layout.comm.size > 1:
         found = beyond(nodes, guess, damping, others)

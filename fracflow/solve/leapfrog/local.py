@@ -13,7 +13,7 @@ from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.graph import components
 from fracflow.model.layout import Layout
-from fracflow.model.loads import Loads
+from fracflow.model.loads import Loads, Pattern
 from fracflow.model.operators import Operators
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
@@ -191,15 +191,18 @@ class ChangingLoads:
         self._changes = [
             i for i, each in enumerate(loads.forces) if each.control is not None or not _is_constant(each.value)
         ]
-        patterns = [loads.forces[i].vector.getArray(readonly=True) for i in self._changes]
+        vectors = [loads.forces[i].vector.getArray(readonly=True) for i in self._changes]
         is_loaded: Bools = np.zeros(layout.solid_count, dtype=bool)
-        for pattern in patterns:
-            is_loaded |= pattern != 0.0
+        for vector in vectors:
+            is_loaded |= vector != 0.0
         self.numbers = np.flatnonzero(is_loaded)
-        self._patterns = np.array([pattern[self.numbers] for pattern in patterns]).reshape(
-            len(patterns), len(self.numbers)
-        )
+        self.patterns = np.array([vector[self.numbers] for vector in vectors]).reshape(len(vectors), len(self.numbers))
         self._layout = layout
+
+    @property
+    def forces(self) -> list[Pattern]:
+        """Those that change; ``patterns`` (k, n) are their values at ``numbers``."""
+        return [self.loads.forces[i] for i in self._changes]
 
     @property
     def is_any(self) -> bool:
@@ -223,7 +226,7 @@ class ChangingLoads:
         if not self._changes:
             return np.zeros(0)
         factors = self.loads.factors(time, controls, around)
-        return np.asarray(np.array([factors[i] for i in self._changes]) @ self._patterns)
+        return np.asarray(np.array([factors[i] for i in self._changes]) @ self.patterns)
 
 
 def _is_constant(value: object) -> bool:

@@ -1,7 +1,7 @@
 """Sections and unknowns of other ranks with which a rank takes explicit steps in a row by itself.
 
 Each rank has all clusters of sections that push its unknowns, or those that are damped with them. It solves for these as their
-own ranks do, to the bit. Velocities of unknowns of others come once a step. So no forces of joints or of damping travel.
+own ranks do, to the bit. The motion of unknowns of others comes once a step. So no forces of joints or of damping travel.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ class Beyond:
 
     is_coupled, has_path  of the compiled laws
     sections  how to get rows of the sections of others;  ``count`` of all sections here
-    first     first place of unknowns of others behind ``Nodes.every``;  ``speeds`` (g,) of these [length/time]
-    way       how they come
+    moved     motion of ``Nodes.every``, and behind these of unknowns of others [length];  ``way`` how that of others comes
     given     counts and addresses by their names in ``steps.c``;  ``kept`` the arrays
     """
 
@@ -67,8 +66,7 @@ class Beyond:
     has_path: bool
     sections: Exchange
     count: int
-    first: int
-    speeds: Floats
+    moved: Floats
     way: GhostWay
     given: dict[str, int]
     kept: list[np.ndarray]
@@ -109,17 +107,22 @@ def beyond(nodes: Nodes, guess: JointGuess | None, damping: list[PETSc.Mat], oth
         return None
     assert half is not None
     to_ghosts = _exchange(comm, layout.solid_starts, ghosts)
-    of_ghosts = to_ghosts.there(np.stack([nodes.mass, rock.places], axis=1))
-    places = of_ghosts[:, 1].astype(np.int64) + layout.solid_starts[owner_of(layout.solid_starts, ghosts)]
-    speeds, is_here, columns = np.zeros(len(ghosts)), is_own(sections.columns), sections.columns
+    inverse, place = 1.0 / nodes.mass, np.full(len(nodes.mass), -1)
+    inverse[nodes.held], place[nodes.every] = 0.0, np.arange(len(nodes.every))
+    of_ghosts = to_ghosts.there(np.stack([inverse, place], axis=1))
+    if comm.allreduce(int((of_ghosts[:, 1] < 0.0).any())):
+        return None
+    starts_of_motion = np.concatenate([[0], np.cumsum(comm.allgather(first))])
+    places = of_ghosts[:, 1].astype(np.int64) + starts_of_motion[owner_of(layout.solid_starts, ghosts)]
+    moved, is_here, columns = np.zeros(first + len(ghosts)), is_own(sections.columns), sections.columns
     at, to = np.empty(len(columns), np.int64), np.empty(len(columns), np.int64)
     at[is_here] = nodes.find(columns[is_here] - low)
     to[is_here] = np.searchsorted(nodes.pushed, at[is_here])
     behind = np.searchsorted(ghosts, columns[~is_here])
     at[~is_here], to[~is_here] = first + behind, len(nodes.pushed) + behind
     floats = {
-        "entries": sections.entries, "weights": sections.laws[:, 1], "laws": sections.laws, "ghost_v": speeds,
-        "inverse_pushed": np.concatenate([nodes.inverse, 1.0 / of_ghosts[:, 0]]),
+        "entries": sections.entries, "weights": sections.laws[:, 1], "laws": sections.laws,
+        "inverse_pushed": np.concatenate([nodes.inverse, of_ghosts[:, 0]]),
         "before": np.zeros((len(sections.number), 13)), "found": np.zeros((len(sections.number), 7)), "damping": half[2],
     }  # fmt: skip
     narrow = {
@@ -144,10 +147,10 @@ def beyond(nodes: Nodes, guess: JointGuess | None, damping: list[PETSc.Mat], oth
         "ghosts": len(ghosts), "first_ghost": first, "damped": len(half[0]) - 1, "batches": len(batches), "most": guess.most,
         "most_changes": MOST_CHANGES, "is_coupled": int(is_coupled), "has_path": int(has_path),
     }  # fmt: skip
-    way = GhostWay(comm, places, (rock.v[: len(rock.places)], speeds))
+    way = GhostWay(comm, places, (moved[:first], moved[first:]))
     of_others = _exchange(comm, starts, sections.number[own:])
     kept = [*arrays.values(), *of_batches]
-    return Beyond(is_coupled, has_path, of_others, len(sections.number), first, speeds, way, given, kept)
+    return Beyond(is_coupled, has_path, of_others, len(sections.number), moved, way, given, kept)
 
 
 def _exchange(comm: MPI.Comm, starts: Ints, wanted: Ints) -> Exchange:

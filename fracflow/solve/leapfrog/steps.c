@@ -1,6 +1,6 @@
 /* Explicit steps in a row, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a compiled
-   answer, sides of dashpots and one damping; nothing is held, and no load changes. On several ranks a step is in pieces,
-   between which values travel. */
+   answer, sides of dashpots, one damping, supports, and loads that change. On several ranks a step is in pieces, between which
+   values travel. */
 #include "loops.h"
 #include <math.h>
 #include <string.h>
@@ -19,6 +19,8 @@ STEPS(
   /* nodes of the rock that move in the sweep, that are this rank's, and all; cells with nodes of other ranks */
   int64_t early, owned, whole, threes, fours;
   int64_t is_coupled, has_path, most, most_changes;
+  /* unknowns with loads that change, and of supports; the row of their tables, below, that a step begins with */
+  int64_t loaded, held, row;
   double dt, share, most_pressed;
   /* the rock, as in rock.c */
   const int32_t *node, *top, *of_three, *of_four, *oblique, *triangles, *quads;
@@ -34,8 +36,16 @@ STEPS(
   const int32_t *of_pushed;
   const int64_t *places, *places_forced, *places_pushed;
   double *moved, *free, *sizes, *force, *added, *scratch, *forces;
-  const double *base, *ghost_v;
+  const double *base;
   double *accelerations[2];
+  /* places of unknowns with loads that change (m,) among all and among pushed ones; their initial stress (m,); loads (rows, m) */
+  const int64_t *at_loads, *by_loads;
+  const double *prestress, *loads;
+  /* places of supports (h,) among all, in the rock, and of each unknown at ``at_own`` among supports, -1 of none; masses there;
+     tables (rows, h) of displacement, mean velocity and acceleration; forces (h,) of supports */
+  const int64_t *at_held, *places_held, *held_of_own;
+  const double *mass_own, *held_at, *held_speed, *held_acceleration;
+  double *support;
   /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and their members, and addresses of both arrays of a batch */
   const double *laws;
   double *before, *found;
@@ -53,8 +63,8 @@ STEPS(
   const int32_t *damping_starts, *damping_columns;
   const double *damping;
   double *damped_forces[2];
-  /* sums over the steps: (5,) of joints, the scheme, damping, each C; strain energy at the last one */
-  double *of_joints, scheme, of_damping, *of_terms, energy;
+  /* sums over the steps: (5,) of joints, the scheme, loads and supports, damping, each C; strain energy at the last one */
+  double *of_joints, scheme, boundaries, of_damping, *of_terms, energy;
   double iterations, left;
   /* of joints in a step, the most over ranks: whether there is no answer, iterations, motion, and what is left of it */
   double *agreed;
@@ -65,12 +75,24 @@ static void swap(double **pair) {
   pair[0] = pair[1], pair[1] = kept;
 }
 
-/* The motion without what joints change, and sections at the end of a step into the second of each pair. */
+/* The motion of this rank's unknowns without what joints change, and with loads and supports. */
+static void predicts(steps *s) {
+  const double *was = s->loads + s->row * s->loaded, *is = was + s->loaded;
+  fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);
+  memset(s->force, 0, sizeof(double) * (size_t)s->pushed_all), memset(s->added, 0, sizeof(double) * (size_t)s->pushed_all);
+  for (int64_t i = 0; i < s->loaded; i++) {
+    const int64_t k = s->by_loads[i];
+    s->force[k] = is[i] - was[i], s->added[k] = s->share * (s->inverse_pushed[k] * s->force[k]);
+    s->moved[s->at_loads[i]] += s->added[k];
+  }
+  was = s->held_at + s->row * s->held, is = was + s->held;
+  for (int64_t i = 0; i < s->held; i++) s->moved[s->at_held[i]] = is[i] - was[i];
+}
+
+/* Sections at the end of a step into the second of each pair. */
 static void joints_balance(steps *s) {
   const int64_t n = s->sections_all;
   double *was = s->values[0], *is = s->values[1], *agreed = s->agreed;
-  fracflow_predict((int32_t)s->every, s->places, s->v, s->dt, s->moved);
-  for (int64_t k = 0; k < s->ghosts; k++) s->moved[s->first_ghost + k] = s->dt * s->ghost_v[k];
   memset(agreed, 0, 4 * sizeof(double));
   fracflow_jumps((int32_t)n, s->starts, s->at, s->entries, s->moved, s->free);
   fracflow_before((int32_t)n, s->free, s->strain[0], was, was + 2 * n, was + 12 * n, was + 13 * n,
@@ -96,7 +118,6 @@ static void joints_push(steps *s) {
   const double *was = s->values[0], *is = s->values[1], *agreed = s->agreed;
   const double left = agreed[2] > 0.0 ? agreed[3] / agreed[2] : 0.0;
   s->iterations += agreed[1], s->left = left > s->left ? left : s->left;
-  memset(s->force, 0, sizeof(double) * (size_t)s->pushed_all), memset(s->added, 0, sizeof(double) * (size_t)s->pushed_all);
   if (!n) return;
   fracflow_pull((int32_t)n, (int32_t)s->pushed_all, s->starts, s->at, s->to, s->entries, s->weights, was, is, s->inverse_pushed,
                 s->share, s->of_pushed, s->scratch, s->force, s->added, s->moved, s->sizes);
@@ -109,32 +130,49 @@ static void joints_push(steps *s) {
 
 #define TIMES(row, block, x, y) ((block)[2 * (row)] * (x) + (block)[2 * (row) + 1] * (y))
 
-/* Nodes with dashpots, whose velocities the sweep has left as they were. */
+/* Of a support whose number is h: its force, which has mass m and carries f less the dashpots' r, and their work. */
+static void supports(steps *s, int64_t h, double m, double f, double r, double moved) {
+  const int64_t old = s->row * s->held + h, new = old + s->held;
+  const double *a = s->held_acceleration, *v = s->held_speed, force = m * a[new] - f + r;
+  s->boundaries += (0.5 * (s->support[h] + force) - 0.5 * (m * (a[old] + a[new]))) * moved;
+  s->boundaries += 0.5 * (v[old] + v[new]) * (m * (v[new] - v[old]));
+  s->support[h] = force;
+}
+
+/* Nodes with dashpots and supports, whose velocities the sweep has left as they were. */
 static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
+  const int64_t next = (s->row + 1) * s->held;
   for (int64_t i = 0; i < s->own; i += 2) {
-    const int64_t p = s->places_own[i], q = s->places_own[i + 1];
-    const double x = s->v[p], y = s->v[q], *inverse = s->inverse_own + 2 * i;
-    double rx = 0.0, ry = 0.0;
+    const int64_t p[2] = {s->places_own[i], s->places_own[i + 1]}, held[2] = {s->held_of_own[i], s->held_of_own[i + 1]};
+    const double x = s->v[p[0]], y = s->v[p[1]], *inverse = s->inverse_own + 2 * i;
+    double r[2] = {0.0, 0.0}, a[2], v[2], resist[2] = {0.0, 0.0};
     for (int64_t t = 0; t < s->terms; t++) {
       const double *block = s->dashpots[t] + 2 * i;
-      rx += TIMES(0, block, x, y), ry += TIMES(1, block, x, y);
+      r[0] += TIMES(0, block, x, y), r[1] += TIMES(1, block, x, y);
     }
-    const double fx = s->f[p] - rx, fy = s->f[q] - ry, ax = TIMES(0, inverse, fx, fy), ay = TIMES(1, inverse, fx, fy);
-    const double sx = x + 0.5 * s->dt * ax, sy = y + 0.5 * s->dt * ay;
-    const double mx = s->moved[s->at_own[i]], my = s->moved[s->at_own[i + 1]];
+    const double fx = s->f[p[0]] - r[0], fy = s->f[p[1]] - r[1];
+    a[0] = TIMES(0, inverse, fx, fy), a[1] = TIMES(1, inverse, fx, fy);
+    v[0] = x + 0.5 * s->dt * a[0], v[1] = y + 0.5 * s->dt * a[1];
+    for (int c = 0; c < 2; c++)
+      if (held[c] >= 0) a[c] = s->held_acceleration[next + held[c]], v[c] = s->held_speed[next + held[c]];
+    const double moved[2] = {s->moved[s->at_own[i]], s->moved[s->at_own[i + 1]]};
     for (int64_t t = 0; t < s->terms; t++) {
       const double *block = s->dashpots[t] + 2 * i;
       double *resisting = s->resisting[t] + i;
-      const double nx = TIMES(0, block, sx, sy), ny = TIMES(1, block, sx, sy);
-      s->of_terms[t] += 0.5 * ((resisting[0] + nx) * mx + (resisting[1] + ny) * my);
-      resisting[0] = nx, resisting[1] = ny;
+      const double nx = TIMES(0, block, v[0], v[1]), ny = TIMES(1, block, v[0], v[1]);
+      s->of_terms[t] += 0.5 * ((resisting[0] + nx) * moved[0] + (resisting[1] + ny) * moved[1]);
+      resisting[0] = nx, resisting[1] = ny, resist[0] += nx, resist[1] += ny;
     }
-    const double vx = x + kick * ax, vy = y + kick * ay;
-    s->v[p] = vx, s->v[q] = vy, s->a_own[i] = ax, s->a_own[i + 1] = ay;
-    if (is_last)
-      s->a_rock[p] = ax, s->a_rock[q] = ay;
-    else
-      s->u[p] = s->u_own[i] + drift * vx, s->u[q] = s->u_own[i + 1] + drift * vy;
+    for (int c = 0; c < 2; c++) {
+      const double before = c ? y : x;
+      if (held[c] >= 0) supports(s, held[c], s->mass_own[i + c], s->f[p[c]], resist[c], moved[c]);
+      s->v[p[c]] = held[c] < 0 ? before + kick * a[c] : is_last ? v[c] : v[c] + 0.5 * s->dt * a[c];
+      s->a_own[i + c] = a[c];
+      if (is_last)
+        s->a_rock[p[c]] = a[c];
+      else
+        s->u[p[c]] = s->u_own[i + c] + drift * s->v[p[c]];
+    }
   }
   for (int64_t k = 0; k < s->both; k++) s->accelerations[1][s->shared[2 * k]] = s->a_own[s->shared[2 * k + 1]];
 }
@@ -142,8 +180,11 @@ static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
 /* Outer forces at the end of a step, and displacements there. */
 static void outer_forces(steps *s) {
   const int64_t beyond = s->first_ghost + s->ghosts - s->forced;
+  const double *loads = s->loads + (s->row + 1) * s->loaded;
   fracflow_put((int32_t)s->pushed, 1, s->places_pushed, s->added, s->u);
+  fracflow_put((int32_t)s->held, 0, s->places_held, s->held_at + (s->row + 1) * s->held, s->u);
   memcpy(s->forces, s->base, sizeof(double) * (size_t)s->forced);
+  for (int64_t i = 0; i < s->loaded; i++) s->forces[s->at_loads[i]] = loads[i] - s->prestress[i];
   memset(s->forces + s->forced, 0, sizeof(double) * (size_t)beyond);
   fracflow_resist((int32_t)s->sections_all, s->starts, s->at, s->entries, s->weights, s->values[0], s->forces);
   if (s->damped) {
@@ -165,7 +206,7 @@ static void sweeps(steps *s, int64_t first, int64_t last, double kick, double dr
                                     s->f);
 }
 
-/* Accelerations at the end of a step, and the motion of nodes with dashpots. */
+/* Accelerations at the end of a step, the motion of nodes with dashpots and supports, and the work of loads. */
 static void ends(steps *s, double kick, double drift, int is_last) {
   const int32_t pushed = (int32_t)s->pushed;
   fracflow_accelerate(pushed, s->places_pushed, s->inverse_pushed, s->f, s->accelerations[1]);
@@ -173,16 +214,22 @@ static void ends(steps *s, double kick, double drift, int is_last) {
   const double gain = fracflow_gain(pushed, s->inverse_pushed, s->force, s->accelerations[0], s->accelerations[1]);
   s->scheme += 0.125 * (s->dt * s->dt) * gain;
   swap(s->accelerations);
+  const double *was = s->loads + s->row * s->loaded, *is = was + s->loaded;
+  double work = 0.0;
+  for (int64_t i = 0; i < s->loaded; i++) work += (was[i] + is[i]) * s->moved[s->at_loads[i]];
+  s->boundaries += 0.5 * work;
+  s->row++;
 }
 
-enum { JOINTS, FORCES, FIRST_HALF, LATE_CELLS, SECOND_HALF, END };
+enum { MOTION, JOINTS, FORCES, FIRST_HALF, LATE_CELLS, SECOND_HALF, END };
 
-/* A piece of a step, which ends at an instant where ``is_last``. Before JOINTS, velocities of ghosts have come. Before FORCES,
+/* A piece of a step, which ends at an instant where ``is_last``. Before JOINTS, the motion of ghosts has come. Before FORCES,
    ranks have agreed. Displacements of ghosts travel during the first half of the sweep, forces on them during the second. */
 void fracflow_piece(steps *s, int32_t piece, int32_t is_last) {
   const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
   const int64_t half = s->ranges / 2, early = 2 * s->early, owned = 2 * s->owned;
   switch (piece) {
+    case MOTION: predicts(s); return;
     case JOINTS: joints_balance(s); return;
     case FORCES:
       joints_push(s), outer_forces(s);
@@ -207,7 +254,7 @@ int64_t fracflow_steps(steps *s, int64_t count, int32_t end) {
   for (int64_t k = 0; k < count; k++) {
     const int is_last = end && k == count - 1;
     const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
-    joints_balance(s);
+    predicts(s), joints_balance(s);
     if (s->agreed[0] > 0.0) return k;
     joints_push(s), outer_forces(s), s->energy = 0.0;
     sweeps(s, 0, s->ranges, kick, drift);

@@ -20,6 +20,7 @@ from fracflow.model.state import Forces, Motion, PreviousStep, Sections, State
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around
 from fracflow.solve.explicit import ExplicitModel
+from fracflow.solve.leapfrog.ahead import StepsAhead, SupportsAt
 from fracflow.solve.leapfrog.in_a_row import Held, Row, steps_in_a_row
 from fracflow.solve.leapfrog.joint_nodes import Pushed, joint_nodes
 from fracflow.solve.leapfrog.joints import JointSolver, Solved
@@ -48,12 +49,13 @@ class Leapfrog:
         matrices = [each.matrix for each in explicit.damping.values()]
         self._row = steps_in_a_row(self.nodes, self.run.passes, self.joints.guess, matrices)
 
-    def in_a_row(self, count: int, hold: bool) -> Row | None:
-        """Up to ``count`` steps from the run's, the last of them up to an instant; None where loops take none. Collective.
+    def in_a_row(self, ahead: StepsAhead) -> Row | None:
+        """Some steps from the run's, the last of all up to an instant; None where loops take none. Collective.
 
-        hold  keeps all statuses, which the loops do not
+        A request that holds statuses is not for the loops.
         """
-        row = None if self._row is None or hold else self._row.take(self.run.held, self.run.base, self.run.dt, count)
+        run = self.run
+        row = None if self._row is None or ahead.request.hold else self._row.take(run.held, run.base, run.beside, ahead)
         if row is not None:
             self.run.go_on(row)
         return row
@@ -215,16 +217,22 @@ class Run:
 
     @property
     def held(self) -> Held:
-        """Values of the last step with which the next one begins, where nothing is held."""
-        return Held(self.sections, self.friction, self.a, self.resisting, self.damped)
+        """Values of the last step with which the next one begins, where no body is rigid."""
+        of_own = self.nodes.held_of_own
+        supports = SupportsAt(self.held_at, self.own_speed[of_own], self.own_a[of_own])
+        ended = self.sections, self.friction, self.a, self.resisting, self.damped
+        return Held(*ended, self.load, self.support, supports)
 
     def go_on(self, row: Row) -> None:
         """Take over steps in a row."""
-        balance = self.balance
-        self.sections, self.friction, self.a, resisting, damped = row.held
+        balance, of_own = self.balance, self.nodes.held_of_own
+        self.sections, self.friction, self.a, resisting, damped, self.load, self.support, supports = row.held
+        self.own_speed, self.own_a, self.held_at = self.own_speed.copy(), self.own_a.copy(), supports.at
+        self.own_speed[of_own], self.own_a[of_own] = supports.speed, supports.acceleration
         self.resisting, self.damped, self.total = dict(resisting), dict(damped), self.sections.traction
         self.rock.energy = row.energy
         balance.scheme += row.scheme
+        balance.boundaries += row.boundaries
         balance.joints += row.joints
         for name, work in row.taken.items():
             self._take(name, work)
