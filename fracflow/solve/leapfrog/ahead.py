@@ -1,4 +1,4 @@
-"""Loads and supports at the ends of explicit steps ahead, in tables from which loops take steps in a row."""
+"""Loads, supports and waves at the ends of explicit steps ahead, in tables from which loops take steps in a row."""
 
 from __future__ import annotations
 
@@ -123,3 +123,21 @@ def _moved(table: TimeTable, times: Floats, around: list[tuple[slice, Around]]) 
             change = (at(after) - value[rows]) / after - (value[rows] - at(-before)) / before
             acceleration[rows] = 2.0 * change / (before + after)
     return found
+
+
+def waves_at(nodes: Nodes, ahead: StepsAhead, first: int, some: int) -> tuple[Floats, dict[str, Floats]]:
+    """Forces (k, terms, o) of waves at ``Nodes.own`` at the ends of some steps, and powers (k,) by terms. Collective."""
+    names, powers = list(nodes.dashpots), {}
+    forces = np.zeros((some if nodes.waves else 0, len(names), len(nodes.own)))
+    times, force = ahead.times(first, some), nodes.operators.layout.solid_vector()
+    for term in nodes.waves:
+        brought, of_term = np.zeros(some), forces[:, names.index(term.name)]
+        for rows, around in ahead.around(first, some):
+            for k in range(rows.start, rows.stop):
+                force.set(0.0)
+                power = term.incoming(float(times[k]), around, force)
+                assert power is not None
+                of_term[k], brought[k] = force.getArray(readonly=True)[nodes.own], power
+        powers[term.name] = brought
+    force.destroy()
+    return forces, powers

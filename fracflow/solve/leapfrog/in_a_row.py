@@ -1,8 +1,8 @@
 """Explicit steps in a row by ``steps.c``, without a call of Python between them, where all that acts has compiled loops.
 
-That is plain rock, joints whose law has a compiled answer, sides of dashpots, one term that damps, supports, and loads that
-change. Where a step needs the laws themselves, the loops stop before it. On several ranks a step is a few calls, between which
-values travel.
+They have plain rock, joints whose law has a compiled answer, and one term that damps. Dashpots, waves that come in at these,
+supports, and loads that change may act. Where a step needs the laws themselves, the loops stop before it. On several ranks a
+step is a few calls, between which values travel.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fracflow.integrators.explicit import joint_share
 from fracflow.laws.compiled import Answers
 from fracflow.mesh.data import Floats
 from fracflow.model.state import Sections
-from fracflow.solve.leapfrog.ahead import MOST_KEPT, StepsAhead, SupportsAt, is_tabled, loads_at, supports_at
+from fracflow.solve.leapfrog.ahead import MOST_KEPT, StepsAhead, SupportsAt, is_tabled, loads_at, supports_at, waves_at
 from fracflow.solve.leapfrog.compiled import address, library, members_of_steps, steps_struct
 from fracflow.solve.leapfrog.guess import JointGuess
 from fracflow.solve.leapfrog.joint_nodes import JointNodes
@@ -33,7 +33,7 @@ _MOTION, _JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(
 OF_A_ROW = {
     "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
     "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "boundaries", "of_damping", "energy", "left",
-    "iterations", "row", "loads", "held_at", "held_speed", "held_acceleration", "support",
+    "iterations", "row", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
 }  # fmt: skip
 """Members of ``steps`` that each row sets anew."""
 COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
@@ -46,7 +46,7 @@ class Held(NamedTuple):
     acceleration  (p,) at ``Nodes.pushed`` [length/time^2]
     resisting     (o,) forces of dashpots at ``Nodes.own``, by terms, and ``damped`` (n,) of what damps [force per thickness]
     load          (m,) at ``Nodes.changing``, and ``support`` (h,) forces of supports [force per thickness]
-    supports      how these move
+    supports      how these move;  ``powers`` of waves, by terms [energy/time per thickness]
     """
 
     sections: Sections
@@ -57,6 +57,7 @@ class Held(NamedTuple):
     load: Floats
     support: Floats
     supports: SupportsAt
+    powers: Mapping[str, float]
 
 
 class Row(NamedTuple):
@@ -72,6 +73,7 @@ class Row(NamedTuple):
     scheme: float
     boundaries: float
     taken: Mapping[str, float]
+    brought: Mapping[str, float]
     joints: Floats
     iterations: int
     left: float
@@ -89,7 +91,7 @@ class StepsInARow:
         self._places, self._agreed = every, np.zeros(4)
         shared = np.stack([nodes.pushed_own, nodes.own_pushed], axis=1)
         counts = {"own": own, "both": len(shared), "terms": len(nodes.dashpots)}
-        counts |= {"loaded": len(nodes.at_loads), "held": len(nodes.held)}
+        counts |= {"loaded": len(nodes.at_loads), "held": len(nodes.held), "waves": len(nodes.waves)}
         self._arrays: dict[str, np.ndarray] = {
             name: np.zeros(size)
             for name, size in {
@@ -118,8 +120,11 @@ class StepsInARow:
         if wrong := (self.given | OF_A_ROW) - members_of_steps():
             raise AssertionError(f"steps.c lacks {', '.join(sorted(wrong))}")
         self._given: Any = steps_struct()(**values)
-        widest, unknowns = max(len(nodes.at_loads), len(nodes.held)), nodes.operators.layout.solid_count
-        self._at_once = max(1, round(min(MOST_AT_ONCE / max(1, unknowns), MOST_KEPT / max(1, widest))))
+        widest = max(len(nodes.at_loads), len(nodes.held), own * len(nodes.dashpots) if nodes.waves else 0, 1)
+        some = min(MOST_AT_ONCE / max(1, nodes.operators.layout.solid_count), MOST_KEPT / widest)
+        self._at_once = max(
+            1, round(some if others is None else nodes.operators.layout.comm.allreduce(some, op=MPI.MIN))
+        )
 
     def take(self, held: Held, base: Floats, beside: Floats, ahead: StepsAhead) -> Row | None:
         """Some of the steps ahead, the last of all up to an instant; None where the first needs laws. Collective.
@@ -156,14 +161,20 @@ class StepsInARow:
         for name, pair in (pairs | {"statuses": (before.statuses, after.statuses)}).items():
             getattr(given, name)[:] = [*map(address, pair)]
         given.scheme = given.boundaries = given.of_damping = given.energy = given.iterations = given.left = 0.0
-        done, load, supports = 0, held.load, held.supports
+        done, load, supports, powers, brought = 0, held.load, held.supports, dict(held.powers), dict[str, float]()
         while done < ahead.left:
             some = min(self._at_once, ahead.left - done)
             tables = self._tables(
                 load, supports, loads_at(nodes, beside, ahead, done, some), supports_at(nodes, ahead, done, some)
             )
+            incoming, power = waves_at(nodes, ahead, done, some)
+            given.incoming = address(incoming)
             taken = self._steps(some, done + some == ahead.left)
             done, load, supports = done + taken, tables[0][taken], SupportsAt(*(each[taken] for each in tables[1:]))
+            for name, each in power.items():
+                for now in each[:taken].tolist():
+                    brought[name] = brought.get(name, 0.0) + 0.5 * dt * (powers.get(name, 0.0) + now)
+                    powers[name] = now
             if taken < some:
                 break
         if not done:
@@ -177,8 +188,8 @@ class StepsInARow:
         taken_by = dict(zip(resisting, of_terms.tolist(), strict=True))
         for name in damped:
             taken_by[name] = taken_by.get(name, 0.0) + given.of_damping
-        new = Held(sections, friction, last["accelerations"], resisting, damped, load, support, supports)
-        sums = given.energy, given.scheme, given.boundaries, taken_by, joints
+        new = Held(sections, friction, last["accelerations"], resisting, damped, load, support, supports, powers)
+        sums = given.energy, given.scheme, given.boundaries, taken_by, brought, joints
         return Row(done, new, *sums, round(given.iterations), given.left)
 
     def _tables(self, load: Floats, supports: SupportsAt, loads: Floats, moving: SupportsAt) -> list[Floats]:
@@ -269,7 +280,7 @@ def steps_in_a_row(
 ) -> StepsInARow | None:
     """The loops; None where something acts that they do not have. ``damping`` are matrices of what damps. Collective."""
     others = nodes.operators.flow is not None or not is_tabled(nodes) or len(damping) > 1
-    others = bool(others or nodes.waves or nodes.springs)
+    others = bool(others or nodes.springs)
     if nodes.operators.layout.comm.size > 1:
         found = beyond(nodes, guess, damping, others)
         return None if found is None else StepsInARow(nodes, found.given, found)

@@ -7,7 +7,7 @@
 #include <stdint.h>
 #include <string.h>
 
-const int fracflow_leapfrog_version = 9;
+const int fracflow_leapfrog_version = 10;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));

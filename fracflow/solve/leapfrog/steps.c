@@ -1,5 +1,5 @@
 /* Explicit steps in a row, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a compiled
-   answer, sides of dashpots, one damping, supports, and loads that change. On several ranks a step is in pieces, between which
+   answer, sides of dashpots and waves, one damping, supports, and loads that change. On several ranks a step is in pieces, between which
    values travel. */
 #include "loops.h"
 #include <math.h>
@@ -46,6 +46,9 @@ STEPS(
   const int64_t *at_held, *places_held, *held_of_own;
   const double *mass_own, *held_at, *held_speed, *held_acceleration;
   double *support;
+  /* where waves come in, their forces (rows, terms, o) at ``at_own`` at the ends of steps */
+  int64_t waves;
+  const double *incoming;
   /* laws and clusters, as in joints.c: numbers (b, 2) of clusters and their members, and addresses of both arrays of a batch */
   const double *laws;
   double *before, *found;
@@ -142,6 +145,7 @@ static void supports(steps *s, int64_t h, double m, double f, double r, double m
 /* Nodes with dashpots and supports, whose velocities the sweep has left as they were. */
 static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
   const int64_t next = (s->row + 1) * s->held;
+  const double *incoming = s->waves ? s->incoming + s->row * s->terms * s->own : 0;
   for (int64_t i = 0; i < s->own; i += 2) {
     const int64_t p[2] = {s->places_own[i], s->places_own[i + 1]}, held[2] = {s->held_of_own[i], s->held_of_own[i + 1]};
     const double x = s->v[p[0]], y = s->v[p[1]], *inverse = s->inverse_own + 2 * i;
@@ -149,6 +153,7 @@ static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
     for (int64_t t = 0; t < s->terms; t++) {
       const double *block = s->dashpots[t] + 2 * i;
       r[0] += TIMES(0, block, x, y), r[1] += TIMES(1, block, x, y);
+      if (incoming) r[0] -= incoming[t * s->own + i], r[1] -= incoming[t * s->own + i + 1];
     }
     const double fx = s->f[p[0]] - r[0], fy = s->f[p[1]] - r[1];
     a[0] = TIMES(0, inverse, fx, fy), a[1] = TIMES(1, inverse, fx, fy);
@@ -159,7 +164,8 @@ static void own_nodes_move(steps *s, double kick, double drift, int is_last) {
     for (int64_t t = 0; t < s->terms; t++) {
       const double *block = s->dashpots[t] + 2 * i;
       double *resisting = s->resisting[t] + i;
-      const double nx = TIMES(0, block, v[0], v[1]), ny = TIMES(1, block, v[0], v[1]);
+      double nx = TIMES(0, block, v[0], v[1]), ny = TIMES(1, block, v[0], v[1]);
+      if (incoming) nx -= incoming[t * s->own + i], ny -= incoming[t * s->own + i + 1];
       s->of_terms[t] += 0.5 * ((resisting[0] + nx) * moved[0] + (resisting[1] + ny) * moved[1]);
       resisting[0] = nx, resisting[1] = ny, resist[0] += nx, resist[1] += ny;
     }

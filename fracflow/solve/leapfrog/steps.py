@@ -221,12 +221,12 @@ class Run:
         of_own = self.nodes.held_of_own
         supports = SupportsAt(self.held_at, self.own_speed[of_own], self.own_a[of_own])
         ended = self.sections, self.friction, self.a, self.resisting, self.damped
-        return Held(*ended, self.load, self.support, supports)
+        return Held(*ended, self.load, self.support, supports, self.powers)
 
     def go_on(self, row: Row) -> None:
         """Take over steps in a row."""
         balance, of_own = self.balance, self.nodes.held_of_own
-        self.sections, self.friction, self.a, resisting, damped, self.load, self.support, supports = row.held
+        self.sections, self.friction, self.a, resisting, damped, self.load, self.support, supports, powers = row.held
         self.own_speed, self.own_a, self.held_at = self.own_speed.copy(), self.own_a.copy(), supports.at
         self.own_speed[of_own], self.own_a[of_own] = supports.speed, supports.acceleration
         self.resisting, self.damped, self.total = dict(resisting), dict(damped), self.sections.traction
@@ -234,8 +234,11 @@ class Run:
         balance.scheme += row.scheme
         balance.boundaries += row.boundaries
         balance.joints += row.joints
+        self.powers = dict(powers)
         for name, work in row.taken.items():
             self._take(name, work)
+        for name, work in row.brought.items():
+            balance.brought[name] = balance.brought.get(name, 0.0) + work
 
     def free_strain(self) -> Floats:
         """Changes of the strains (s, dim) of the joints by that. Collective."""
