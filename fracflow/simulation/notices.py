@@ -204,8 +204,8 @@ class Notices:
             return
         self._totals.damped = 1
         self._doubt(
-            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * taken / moving:.2g} % of the energy of"
-            " motion, and friction less: waves that pass fractures come out too weak. Take smaller cells there, or"
+            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * taken / moving:.2g} % of the"
+            " energy of motion, and friction less: waves that pass fractures come out too weak. Take smaller cells there, or"
             " fault_damping = 0 if little slides"
         )
 
