@@ -37,7 +37,9 @@ WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
 MOST_SLIP = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
-DAMPED = 0.05  # of the energy of motion: from which share on damping at faults is told where friction takes less
+DAMPED = (
+    0.05  # of the energy of motion: from which share on the log reports damping at faults, where friction takes less
+)
 LEAST_DAMPED = 1e-6  # of the largest entry of the energy balance: less is round-off of rock at rest
 MOTION = ("kinetic", "friction", "radiated", "viscous")  # entries that it is in, or has become
 
