@@ -387,6 +387,8 @@ def petsc_options(petsc: Any, words: list[str]) -> None:
 
             near = nearest(key, [word for one in commands()["run"].params for word in one.opts])
             meant = f"; {near}" if near.startswith("did you mean") else ""
+            if re.fullmatch(r"[\w.-]+\.\w+=.*", key):
+                meant = f"; a key of the scene stands behind --set: --set {key}"
             raise InputError(
                 f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as"
                 f" -solid_pc_type lu{meant}"

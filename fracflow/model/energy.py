@@ -169,10 +169,10 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
     }
 
 
-def spurious_share(totals: Mapping[str, float]) -> float:
-    """Spurious energy of a coupling without transposes, over the largest entry of the balance."""
-    largest = max(abs(totals[name]) for name in (*STORED, *WORK))
-    return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
+def share_of_balance(totals: Mapping[str, float], name: str) -> float:
+    """The size of an entry over that of the largest one; 0 where all are."""
+    largest = max(abs(totals[each]) for each in (*STORED, *WORK))
+    return abs(totals[name]) / largest if largest > 0.0 else 0.0
 
 
 def dissipated(before: Sections, after: Sections) -> Floats:

@@ -23,7 +23,7 @@ from fracflow.output.drawing.network_map import (
     write_name,
 )
 from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
-from fracflow.output.reader import RunData, load_run_data
+from fracflow.output.reader import Abscissa, RunData, load_run_data
 from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
 from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, VELOCITY
 
@@ -111,7 +111,7 @@ def _overview(run: RunData) -> Figure:
 
 def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str, word: str = "") -> None:
     lines = {name: run.probe(name, row.name) for name in run.probes_with(row.name)}
-    _draw_lines(axes, run, lines, title, word or row.axis, row.dimension, run.settled)
+    _draw_lines(axes, run, lines, title, word or row.axis, row.dimension, run.abscissa(run.settled))
 
 
 def _most_telling(run: RunData, names: Sequence[str]) -> OutputQuantity:
@@ -199,12 +199,12 @@ def _draw_lines(
     title: str,
     word: str,
     dimension: str,
-    span: slice = slice(None),
+    over: Abscissa,
     is_held: bool = False,
 ) -> None:
     """Histories, named at their right ends; the largest ones if there are many. Held values are those of steps."""
     axes.set_title(title)
-    x, x_label = run.axis(span)
+    span, x = over.steps, over.values
     ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name][span])))[:_MAX_LINES]
     shown = [name for name in lines if name in ranked]
     if not shown or len(x) == 0:
@@ -218,7 +218,7 @@ def _draw_lines(
         look = "steps-pre" if is_held else "default"
         axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "", drawstyle=look)
     axes.margins(x=0.0)
-    axes.set_xlabel(x_label)
+    axes.set_xlabel(over.label)
     axes.set_ylabel(scale.label(word))
     if dimension == VELOCITY and not scale.is_constant and _spans_decades([lines[name][span] for name in shown]):
         axes.set_yscale("log")
@@ -293,7 +293,7 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
     lines = {label: v for label, v in changes.items() if np.abs(v[start:]).max() > 1e-3 * scale}
     settled = "Energy since equilibrium" if start else "Energy since the start"
     title = "Energy since the dynamics began" if run.has_dynamics else settled
-    _draw_lines(axes, run, lines, title, "change", ENERGY, slice(start, None))
+    _draw_lines(axes, run, lines, title, "change", ENERGY, run.abscissa(slice(start, None)))
     if lines:
         axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
 
@@ -370,9 +370,10 @@ def _wells(run: RunData) -> Figure | None:
     if not shown:
         return None
     figure, panels = _sheet(run, "wells", len(shown))
+    over = run.times(run.settled)  # rates are given by time
     for axes, (word, dimension) in zip(panels, shown, strict=True):
         is_rate = dimension == FLOW_RATE  # which is that of the step before
-        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, run.settled, is_held=is_rate)
+        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, over, is_held=is_rate)
     return figure
 
 

@@ -120,6 +120,18 @@ class FractureFields:
         return np.asarray(nodes[np.argsort(along, kind="stable")])
 
 
+MOMENT = 0.02  # of the time that histories span
+
+
+@dataclass(frozen=True)
+class Abscissa:
+    """Some ``steps`` of a history as they are drawn: values (n,), and the label of their axis."""
+
+    steps: slice
+    values: Floats
+    label: str
+
+
 @dataclass(frozen=True)
 class RunData:
     """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium.
@@ -187,13 +199,26 @@ class RunData:
         time = self.history["time"]
         return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
 
-    def axis(self, span: slice) -> tuple[Floats, str]:
-        """Abscissa (steps,) of histories as it is drawn, and its label: time, or the step's number if no time passes."""
-        time = self.history["time"][span]
-        if len(time) and np.ptp(time) > 0.0:
-            scale = axis_of(TIME, [time], self.units)
-            return scale(time), scale.label("time")
-        return np.arange(len(self.history["time"]), dtype=float)[span], "step"
+    def times(self, steps: slice) -> Abscissa:
+        """Time, or the step's number if no time passes."""
+        time = self.history["time"][steps]
+        if not len(time) or np.ptp(time) == 0.0:
+            return Abscissa(steps, self._numbers(steps), "step")
+        scale = axis_of(TIME, [time], self.units)
+        return Abscissa(steps, scale(time), scale.label("time"))
+
+    def abscissa(self, steps: slice) -> Abscissa:
+        """The same, and the step's number where half of the steps pass within a moment: over time they would be one line."""
+        time = self.history["time"][steps]
+        whole, half = float(np.ptp(time)) if len(time) else 0.0, len(time) // 2
+        moment = float((time[half:] - time[: len(time) - half]).min()) if half and self.has_dynamics else whole
+        if moment >= MOMENT * whole:
+            return self.times(steps)
+        words = (shown(TIME, each, self.units, 2) for each in (moment, whole))
+        return Abscissa(steps, self._numbers(steps), f"step (half of them within {' of '.join(words)})")
+
+    def _numbers(self, steps: slice) -> Floats:
+        return np.arange(len(self.history["time"]), dtype=float)[steps]
 
     @cached_property
     def noise(self) -> dict[str, float]:

@@ -100,6 +100,13 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
     if kind == "missing":
         if not isinstance(path[-1], str):
             return f"missing; the list must be longer by entry {path[-1]}"
+        if path == ("mesh", "file") and "geometry" in data:
+            keys = ", ".join(
+                f"geometry.{key}" for key in data["mesh"] if key in _model_at(model, ("geometry",)).model_fields
+            )
+            return "missing; [geometry] makes the mesh of this scene" + (
+                f": write {keys}" if keys else "; remove [mesh]"
+            )
         return f"missing; required: {meanings(_model_at(model, path[:-1])).get(path[-1], '')}".removesuffix(": ")
     if kind == "literal_error":
         allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")

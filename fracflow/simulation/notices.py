@@ -13,7 +13,7 @@ from fracflow.advance.wells import reached_before
 from fracflow.integrators import EXPLICIT
 from fracflow.mesh.data import Floats
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.model.energy import spurious_share
+from fracflow.model.energy import share_of_balance
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
@@ -37,6 +37,11 @@ WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
 MOST_SLIP = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
+DAMPED = (
+    0.05  # of the energy of motion: from which share on the log reports damping at faults, where friction takes less
+)
+LEAST_DAMPED = 1e-6  # of the largest entry of the energy balance: less is round-off of rock at rest
+MOTION = ("kinetic", "friction", "radiated", "viscous")  # entries that it is in, or has become
 
 
 def watches_spurious(scene: Scene) -> bool:
@@ -54,7 +59,8 @@ class Notices:
     def of(self, step: Step) -> None:
         """Examine a step that was put on record. Collective."""
         state, report, totals = step.state, step.report, self._totals
-        self._spurious(state.time, spurious_share(state.energy))
+        self._spurious(state.time, share_of_balance(state.energy, "spurious"))
+        self._damped(state)
         self._pressure(state.time, state.max_overpressure)
         self._widening(state.time, report)
         if self._scene.has_flow and not totals.open_tips and (line := open_tip_line(self._model, state)):
@@ -190,6 +196,21 @@ class Notices:
                 )
             totals.spurious, totals.spurious_time = share, time
 
+    def _damped(self, state: State) -> None:
+        """A line, once, where damping at faults takes waves that pass, and not what slip sends out."""
+        energy = state.energy
+        taken, friction = energy["damping"], energy["friction"]
+        moving = taken + sum(energy[name] for name in MOTION)
+        is_small = share_of_balance(energy, "damping") < LEAST_DAMPED
+        if self._totals.damped or is_small or taken < friction or taken < DAMPED * moving:
+            return
+        self._totals.damped = 1
+        self._doubt(
+            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * taken / moving:.2g} % of the"
+            " energy of motion, and friction less: waves that pass fractures come out too weak. Take smaller cells there, or"
+            " fault_damping = 0 if little slides"
+        )
+
     def _pressure(self, time: float, drive: float) -> None:
         """A line, once, where a pressure would strain the rock beyond the model."""
         if not self._totals.strained and (line := beyond_small_strains(self._scene, drive)):
@@ -257,8 +278,8 @@ def overlap_line(model: Model, state: State) -> str:
     least, where = found
     return (
         f"time {scene.time_text(state.time)}: walls of {where} close by {-least:.3g}{scene.unit_system.behind(LENGTH)} more"
-        " than their aperture, as springs let them: later openings and flows are wrong there. Take a law that closes along a"
-        " hyperbola, a wider aperture, or a larger normal_stiffness"
+        " than their aperture, as springs let them: later openings and flows are wrong there, and pressures of all that is"
+        " joined to it. Take a law that closes along a hyperbola, a wider aperture, or a larger normal_stiffness"
     )
 
 

@@ -53,6 +53,7 @@ class Totals:
     sucked: int = 0
     open_tips: int = 0
     overlapped: int = 0
+    damped: int = 0
     widening: float = 1.0
     missed: float = 0.0
     turning: int = 0

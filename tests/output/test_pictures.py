@@ -129,6 +129,18 @@ def test_histories_of_wells_are_drawn(tmp_path):
     assert _wells(data) is None
 
 
+def test_a_moment_of_motion_after_days_is_drawn_over_steps(tmp_path):
+    """Over time it would be one line: 120 of 239 steps take 120/227 of 20 ms. Rates of wells are drawn over time."""
+    data = load_run_data(make_run(tmp_path))
+    late = data.history["time"] + np.where(np.arange(STEPS) < STEADY, np.linspace(-2e5, 0.0, STEPS), 0.0)
+    found = replace(data, history={**data.history, "time": late}, units={"time": "s"})
+    assert data.abscissa(data.settled).label == data.times(data.settled).label
+    assert found.abscissa(slice(None)).label == "step (half of them within 11 ms of 2.3 days)"
+    assert list(found.abscissa(slice(2, None)).values[:3]) == [2.0, 3.0, 4.0]
+    assert found.times(slice(None)).label == "time [days]"
+    assert replace(found, has_dynamics=False).abscissa(slice(None)).label == "time [days]"
+
+
 def test_an_axis_shows_neither_noise_nor_offsets(tmp_path):
     """Round-off is drawn flat with its value; a small change of a large value from a round number."""
     data = load_run_data(make_run(tmp_path))

@@ -121,6 +121,57 @@ def test_a_rupture_on_triangles_slips_as_on_quadrilaterals(run_scene, shared_tmp
     assert not even.history["energy/damping"].any()
 
 
+WAVE = """
+[output]
+pictures = false
+[method]
+stepper = "explicit"
+[geometry]
+domain = [0, 0, 60, 40]
+size = 5
+size_at_fractures = 2
+[[geometry.fracture]]
+name = "main"
+points = [[18, 9], [40, 31]]
+[rock.rock]
+youngs_modulus = 30e9
+poissons_ratio = 0.22
+density = 2600
+[initial_stress]
+xx = -6e6
+yy = -5e6
+[[absorbing]]
+on = "west"
+wave = {kind = "p", velocity = [[0, 0], [4e-3, 0.3], [8e-3, 0]]}
+[[absorbing]]
+on = "east"
+[[support]]
+on = ["south", "north"]
+components = ["y"]
+[fracture.main]
+law = "hyperbolic-coulomb"
+normal_stiffness = 50e9
+shear_stiffness = 20e9
+aperture = 3e-4
+friction_coefficient = 0.9
+[[stage]]
+kind = "dynamic"
+time_step = 1e-3
+steps = 20
+"""
+
+
+@pytest.mark.serial
+def test_waves_that_damped_cells_take_are_told(run_scene, shared_tmp):
+    """Nothing slides in a wave of some cells. Without the damping there is no line."""
+    damped, _ = run_scene(WAVE), run_scene(WAVE, "method.fault_damping=0")
+    assert not damped.history["energy/friction"].any()
+    logs = [(shared_tmp / name / "log.txt").read_text(encoding="utf-8") for name in ("run1", "run2")]
+    assert [log.count("waves that pass") for log in logs] == [1, 0]
+    assert damped.history["energy/damping"][-1] > 0.05 * damped.history["energy/work_incident"][-1]
+    assert damped.closes()
+
+
 @pytest.mark.serial
 @pytest.mark.parametrize(("above", "is_damped"), [(16, False), (20, True)])
 def test_only_walls_that_are_no_mirror_images_are_damped(tmp_path, above, is_damped):

@@ -201,6 +201,10 @@ COMMANDS = {
         call("run", "scene.toml", "--outptu", "x"),
         "command line: --outptu: neither an option of fracflow (see",
     ),
+    "a key of the scene without --set": (
+        call("run", "scene.toml", "mesh.refine=1"),
+        "command line: mesh.refine=1: neither … a key of the scene stands behind --set: --set mesh.refine=1",
+    ),
     "an option without value": (
         call("run", "scene.toml", "-o"),
         "command line: Option '-o' requires an argument; see fracflow",

@@ -155,6 +155,10 @@ def test_geometry_names(make):
     geometry = "geometry={domain=[0,0,1,1],size=1,fracture=[{name='fault',points=[[0,0],[1,1]]}]}"
     with pytest.raises(InputError, match=r"rock.slate: is one too many; .geometry. has one rock, here granite"):
         make(geometry, "rock.slate={rigid=true}", text=text)
+    with pytest.raises(
+        InputError, match=r"mesh.file: missing; .geometry. makes the mesh of this scene: write geometry.refine"
+    ):
+        make(geometry, "mesh.refine=1", text=text)
     assert make(geometry, text=text).geometry.domain == ((0, 0), (1, 0), (1, 1), (0, 1))
     with pytest.raises(InputError, match=r"fracture.fold: missing; the fracture .fold. needs a table"):
         make(geometry.replace("'fault'", "'fold'"), text=text)
