@@ -212,7 +212,7 @@ class Recorder:
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
         units = self.model.scene.unit_names
-        found = on_root(self.comm, lambda: crossing_lines(f.events.rows, f.mesh, units) if (f := self.files) else [])
+        found = on_root(self.comm, lambda: crossing_lines(f.events.rows(), f.mesh, units) if (f := self.files) else [])
         for line in found or ():
             self.log(line)
 
