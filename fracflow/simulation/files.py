@@ -20,7 +20,6 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
-from fracflow.model.state import State
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import open_arrays, restoring, write_checkpoint
@@ -190,7 +189,8 @@ class Files:
         lines = np.arange(len(ends)).reshape(-1, 2)
         self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
         self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
-        self.rock.forget_mesh()
+        for family in (self.rock, self.fractures):
+            family.forget_mesh()
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def hand_over(self, model: Model, rock: ShownRock) -> None:
@@ -290,11 +290,13 @@ class Files:
                 self.vtkhdf.update(is_last=True)  # its data have gone
         self.extra = index
 
-    def fields(self, index: int, state: State, values: Mapping[str, Any], rock: Mapping[str, Slabs]) -> None:
-        """Fields of fractures at ends (joints, 2, k) and, unless there are none, of the rock for ParaView."""
-        if rock:
-            self.rock.write_stored(index, state.time, rock)
-        self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+    def rock_fields(self, index: int, time: float, arrays: Mapping[str, Slabs]) -> None:
+        """Fields of the rock for ParaView, whose fields of fractures follow. Raises OSError."""
+        self.rock.write_stored(index, time, arrays)
+
+    def fracture_fields(self, index: int, time: float, arrays: Mapping[str, Slabs]) -> None:
+        """Fields of fractures at ends (joints * 2, ...) and joints (joints,). Raises OSError."""
+        self.fractures.write_stored(index, time, arrays)
         if self.vtkhdf is not None:
             self.vtkhdf.update()
 
