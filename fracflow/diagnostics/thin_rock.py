@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from fracflow.diagnostics.nearest import nearest_within
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.mesh.plane.sizes import ROOT, SLENDER
@@ -163,7 +163,6 @@ class _Facets:
     length   (f,) [length]
     heading  (f, 2) [1]
     by_owner (f,) facets in the order of their owners, each of which begins at its entry of ``starts``
-    trees    of the middles of an owner's facets, once they were asked for
     """
 
     nodes: Ints
@@ -173,7 +172,6 @@ class _Facets:
     heading: Floats
     by_owner: Ints
     starts: Ints
-    trees: dict[int, Any] = field(default_factory=dict)
 
     def of(self, owner: int) -> Ints:
         """Those of one owner."""
@@ -183,11 +181,10 @@ class _Facets:
         """Those of one owner whose middles face one of the other at a distance of at most so much [length]."""
         mine, theirs = self.of(own), self.of(other)
         middle, start = self.ends[mine].mean(axis=1), self.ends[theirs, 0]
-        if other not in self.trees:
-            from scipy.spatial import cKDTree  # imports much
-
-            self.trees[other] = cKDTree(self.ends[theirs].mean(axis=1))
-        nearest = self.trees[other].query(middle)[1]
+        farthest = float(np.hypot(within, self.length[theirs].max())) * (1.0 + ROUND_OFF)
+        nearest = nearest_within(middle, self.ends[theirs].mean(axis=1), farthest)
+        is_near = nearest >= 0
+        mine, middle, nearest = mine[is_near], middle[is_near], nearest[is_near]
         step = middle - start[nearest]
         heading, length = self.heading[theirs[nearest]], self.length[theirs[nearest]]
         along = np.sum(step * heading, axis=1)

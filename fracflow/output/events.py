@@ -8,8 +8,9 @@ from __future__ import annotations
 import csv
 import io
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from time import monotonic
 from time import process_time as time_of_process
@@ -19,9 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
-from fracflow.output.folder import write_atomic
-from fracflow.scene.quantities import component_names, magnitude, one_less, with_components
-from fracflow.storage.files import read_text, steers
+from fracflow.scene.quantities import component_names, magnitude
+from fracflow.storage.files import fresh, read_text, replacing, steers
 
 OF_EVENTS = (
     "sections", "length", "mean_slip", "stress_drop", "moment", "magnitude", "radiated", "dissipated", "dropped",
@@ -34,6 +34,8 @@ LATEST = "start_latest"
 """Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
 COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
+_WHOLE = len(_KINDS)  # number of the kind of a whole event
+_OF_PLACE = ("kind", "fracture", "node", "probe", "x", "y")
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -65,8 +67,48 @@ class _Running:
     peak_rate: Floats
 
 
+class _Rows:
+    """Rows of events.csv as columns, some 50 bytes each; those of whole events have a mapping besides."""
+
+    def __init__(self, tangents: int) -> None:
+        numbers = [(name, "f8") for name in ("start", LATEST, "end", "peak_slip_rate")]
+        self._columns = np.zeros(0, [("kind", "i1"), ("place", "i4"), *numbers, ("slip", "f8", (tangents,))])
+        self._count = 0
+        self.whole: dict[int, dict[str, Any]] = {}
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def columns(self) -> NDArray[Any]:
+        """Columns (n,) by their names: number of the kind, row in the table of nodes; NaN stands for none."""
+        return self._columns[: self._count]
+
+    def add(self, count: int) -> NDArray[Any]:
+        """The columns (count,) of as many more rows, to be filled."""
+        self._count += count
+        if self._count > len(self._columns):
+            more = np.zeros(max(self._count, 2 * len(self._columns)) - len(self._columns), self._columns.dtype)
+            self._columns = np.concatenate([self._columns, more])
+        return self._columns[self._count - count : self._count]
+
+    def table(self) -> Floats:
+        """All columns (n, 6 + dim-1) as numbers."""
+        found = self.columns
+        return np.column_stack([found[name] for name in found.dtype.names or ()]).astype(float)
+
+    def restore(self, table: Floats) -> None:
+        """Add the rows of a ``table``. Raises ValueError for one of another shape."""
+        into, at = self.add(len(table)), 0
+        for name in into.dtype.names or ():
+            width = int(np.prod(into.dtype[name].shape, dtype=np.int64))
+            into[name] = table[:, at : at + width].reshape(into[name].shape)
+            at += width
+
+
 SHARE = 100.0  # times the CPU that writing the file took lie between two such times, once that was ``LONG`` in all
 LONG = 0.01  # [s]
+_ROWS_AT_ONCE = 1000
 
 
 class EventLog:
@@ -85,8 +127,7 @@ class EventLog:
         self._shape = (len(nodes.node), tangents)
         self.path = Path(path)
         self.nodes = nodes
-        self.rows: list[dict[str, Any]] = []
-        self._lines: dict[int, str] = {}  # of rows that have ended, which stay as they are
+        self._rows = _Rows(tangents)
         self._spent = self._rest = self._written = 0.0
         self._is_behind = False
         self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
@@ -114,20 +155,19 @@ class EventLog:
         """
         changed, plastic_slip, speed = False, self._vectors(plastic_slip), magnitude(self._vectors(slip_rate))
         began = time if began is None else began
-        starts: list[tuple[int, str]] = []
+        starts = []
         for kind, now in (("slip", np.asarray(sliding, bool)), ("open", np.asarray(is_open, bool))):
             running = self._running[kind]
             was = running.row >= 0
             running.peak_rate = np.where(was | now, np.fmax(running.peak_rate, speed), 0.0)
-            starts += [(int(i), kind) for i in np.flatnonzero(now & ~was)]
-            for i in np.flatnonzero(was & ~now):
-                self._measure(kind, int(i), plastic_slip)
-                self.rows[running.row[i]]["end"] = float(time)
-                running.row[i], running.peak_rate[i], changed = -1, 0.0, True
-        for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
-            self._start(kind, i, began, time)
+            starts += [(kind, np.flatnonzero(now & ~was))]
+            if len(ends := np.flatnonzero(was & ~now)):
+                self._measure(running, ends, plastic_slip)
+                self._rows.columns["end"][running.row[ends]] = time
+                running.row[ends], running.peak_rate[ends], changed = -1, 0.0, True
+        changed = changed or any(len(places) for _, places in starts)
+        self._start(starts, began, time)
         self._plastic_slip = plastic_slip
-        changed = changed or bool(starts)
         self._is_behind = self._is_behind or changed
         if self._is_behind and monotonic() - self._written >= self._rest:
             self._write()
@@ -139,77 +179,120 @@ class EventLog:
 
     def add(self, event: Mapping[str, Any]) -> None:
         """A row of kind "event" from ``Catalogue``: ``place`` is the row of a node in the table of nodes."""
-        self.rows.append(self._of(event))
+        self._add_whole(event)
         self._write()
+
+    def _add_whole(self, event: Mapping[str, Any]) -> None:
+        self._rows.whole[len(self._rows)] = dict(event)
+        self._rows.add(1)[0] = (_WHOLE, event["place"], *[np.nan] * 4, np.full(self._shape[1], np.nan))
 
     def close(self, unfinished: Mapping[str, Any] | None = None) -> None:
         """Write the file with the latest slip of events under way, and the row of an ``unfinished`` event.
 
         That row is not stored in a checkpoint: a restarted run replaces it.
         """
-        self._write([self._of(unfinished)] if unfinished is not None else [])
-
-    def _of(self, event: Mapping[str, Any]) -> dict[str, Any]:
-        return {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
+        self._write([] if unfinished is None else [unfinished])
 
     def memory(self) -> dict[str, Any]:
-        """Its data for a checkpoint, as plain lists."""
-        running = {
-            kind: {
-                "row": found.row.tolist(),
-                "slip_before": one_less(found.slip_before).tolist(),
-                "peak_rate": found.peak_rate.tolist(),
-            }
-            for kind, found in self._running.items()
-        }
-        return {"rows": self.rows, "plastic_slip": one_less(self._plastic_slip).tolist(), "running": running}
+        """Its data for a checkpoint: arrays ``rows`` and ``nodes`` of numbers, and mappings of whole events."""
+        of_kinds = [
+            part for running in self._running.values() for part in (running.row, running.slip_before, running.peak_rate)
+        ]
+        nodes = np.column_stack([self._plastic_slip, *of_kinds]).astype(float)
+        return {"rows": self._rows.table(), "nodes": nodes, "whole": list(self._rows.whole.items())}
 
     def remember(self, memory: Mapping[str, Any]) -> None:
-        """Go on from what ``memory`` gave."""
-        self.rows, self._lines = [dict(row) for row in memory["rows"]], {}
-        self._plastic_slip = self._vectors(memory["plastic_slip"])
-        for kind, found in memory["running"].items():
-            row, peak_rate = np.array(found["row"], dtype=np.int64), np.array(found["peak_rate"], dtype=float)
-            self._running[kind] = _Running(row, self._vectors(found["slip_before"]), peak_rate)
+        """Go on from what ``memory`` gave, or its rows as lists of mappings, as earlier versions kept them."""
+        self._rows = _Rows(self._shape[1])
+        if "nodes" in memory:
+            self._rows.restore(memory["rows"])
+            self._rows.whole = {int(number): dict(event) for number, event in memory["whole"]}
+            width = self._shape[1]
+            slip, *parts = np.split(memory["nodes"], np.cumsum([width, *(1, width, 1) * 2])[:-1], axis=1)
+            for kind, found in zip(_KINDS, (parts[:3], parts[3:]), strict=True):
+                row, before, peak = found
+                self._running[kind] = _Running(row[:, 0].astype(np.int64), self._vectors(before), peak[:, 0].copy())
+        else:
+            slip = memory["plastic_slip"]
+            self._restore_mappings(memory["rows"])
+            for kind, old in memory["running"].items():
+                row, peak = np.array(old["row"], dtype=np.int64), np.array(old["peak_rate"], dtype=float)
+                self._running[kind] = _Running(row, self._vectors(old["slip_before"]), peak)
+        self._plastic_slip = self._vectors(slip)
         self._write()
 
-    def _start(self, kind: str, i: int, began: float, latest: float) -> None:
-        running = self._running[kind]
-        running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
-        since = {"start": float(began), LATEST: float(latest), "end": None, "peak_slip_rate": 0.0}
-        none = with_components("slip", np.zeros(self._shape[1]))
-        self.rows.append({"kind": kind, **self._place(i), **since, **none})
-
-    def _place(self, i: int) -> dict[str, Any]:
-        nodes = self.nodes
-        at = {"fracture": nodes.fracture[i], "node": int(nodes.node[i]), "probe": nodes.probe[i]}
-        return {**at, "x": float(nodes.x[i]), "y": float(nodes.y[i])}
-
-    def _measure(self, kind: str, i: int, plastic_slip: Floats) -> None:
-        running = self._running[kind]
-        row = self.rows[running.row[i]]
-        row.update(with_components("slip", plastic_slip[i] - running.slip_before[i]))
-        row["peak_slip_rate"] = float(running.peak_rate[i])
-
-    def _write(self, besides: Sequence[dict[str, Any]] = ()) -> None:
-        began = time_of_process()
-        for kind, running in self._running.items():
-            for i in np.flatnonzero(running.row >= 0):
-                self._measure(kind, int(i), self._plastic_slip)
-        text = io.StringIO()
-        table = csv.DictWriter(text, columns_of(self._shape[1]), lineterminator="\n")
-        table.writeheader()
-        under_way = {int(i) for running in self._running.values() for i in running.row}
-        for number, row in enumerate(self.rows):
-            if number in self._lines:
-                text.write(self._lines[number])
+    def _restore_mappings(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        nodes, slips = self.nodes, component_names("slip", "shear", self._shape[1])
+        places = {key: place for place, key in enumerate(zip(nodes.fracture, nodes.node.tolist(), strict=True))}
+        for row in rows:
+            place = places[row["fracture"], row["node"]]
+            if row["kind"] not in _KINDS:
+                self._add_whole({**{name: row[name] for name in row if name not in _OF_PLACE}, "place": place})
                 continue
-            begin = text.tell()
-            table.writerow(row)
-            if number not in under_way:
-                self._lines[number] = text.getvalue()[begin:]
-        table.writerows(besides)
-        write_atomic(self.path, text.getvalue())
+            times = [np.nan if row.get(name) is None else row[name] for name in ("start", LATEST, "end")]
+            slip = [row[name] for name in slips]
+            self._rows.add(1)[0] = (_KINDS.index(row["kind"]), place, *times, row["peak_slip_rate"], slip)
+
+    def _start(self, starts: Sequence[tuple[str, NDArray[np.int64]]], began: float, latest: float) -> None:
+        """Rows for nodes (k,) of each kind, in the order of the nodes of the mesh."""
+        kind = np.repeat([_KINDS.index(name) for name, _ in starts], [len(places) for _, places in starts])
+        place = np.concatenate([places for _, places in starts])
+        order = np.lexsort((kind, place, self.nodes.node[place]))
+        first, rows = len(self._rows), self._rows.add(len(order))
+        rows["kind"], rows["place"], rows["start"], rows[LATEST], rows["end"] = (
+            kind[order], place[order], began, latest, np.nan,
+        )  # fmt: skip
+        for number, name in enumerate(_KINDS):
+            running, here = self._running[name], np.flatnonzero(rows["kind"] == number)
+            there = rows["place"][here]
+            running.row[there], running.slip_before[there] = first + here, self._plastic_slip[there]
+
+    def _measure(self, running: _Running, places: NDArray[np.int64], plastic_slip: Floats) -> None:
+        rows = running.row[places]
+        self._rows.columns["slip"][rows] = plastic_slip[places] - running.slip_before[places]
+        self._rows.columns["peak_slip_rate"][rows] = running.peak_rate[places]
+
+    def rows(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> Iterator[dict[str, Any]]:
+        """The rows as mappings, one by one, and behind them those of ``unfinished`` events."""
+        heads = columns_of(self._shape[1])
+        for row in self._values(unfinished):
+            yield dict(zip(heads, row, strict=True))
+
+    def _values(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> Iterator[list[Any]]:
+        """The values of each row in the order of the columns of the file."""
+        nodes, rows, none = self.nodes, self._rows, [None] * len(OF_EVENTS)
+        for first in range(0, len(rows), _ROWS_AT_ONCE):
+            part = rows.columns[first : first + _ROWS_AT_ONCE]
+            place = part["place"]
+            numbers = (nodes.node, nodes.x, nodes.y)
+            at = [each[place].tolist() for each in numbers]
+            start, latest, end = (
+                [None if isnan(t) else t for t in part[key].tolist()] for key in ("start", LATEST, "end")
+            )
+            values = zip(part["kind"].tolist(), place.tolist(), *at, start, latest, end,
+                part["slip"].tolist(), part["peak_slip_rate"].tolist(), strict=True)  # fmt: skip
+            for number, (kind, i, node, x, y, starts, until, ends, slip, peak) in enumerate(values, first):
+                if kind == _WHOLE:
+                    yield self._of(rows.whole[number])
+                    continue
+                where = [_KINDS[kind], nodes.fracture[i], node, nodes.probe[i], x, y]
+                yield [*where, starts, ends, *slip, peak, *none, until]
+        yield from map(self._of, unfinished)
+
+    def _of(self, event: Mapping[str, Any]) -> list[Any]:
+        nodes, i = self.nodes, event["place"]
+        at = {"fracture": nodes.fracture[i], "node": int(nodes.node[i]), "probe": nodes.probe[i]}
+        row = {"kind": "event", **at, "x": float(nodes.x[i]), "y": float(nodes.y[i]), **event}
+        return [row.get(name) for name in columns_of(self._shape[1])]
+
+    def _write(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> None:
+        began = time_of_process()
+        for running in self._running.values():
+            self._measure(running, np.flatnonzero(running.row >= 0), self._plastic_slip)
+        with replacing(self.path) as part, fresh(part).open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(columns_of(self._shape[1]))
+            table.writerows(self._values(unfinished))
         self._written, self._is_behind = monotonic(), False
         spent = time_of_process() - began
         self._spent += spent

@@ -1,4 +1,4 @@
-"""Points, cells and fields of the rock, which rank 0 gets from all ranks by slabs; of a map where it is not meshed."""
+"""Points, cells and fields, which rank 0 gets from all ranks by slabs: those of the rock, or of a map, and of fractures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fracflow.mesh.slabs import ByRows, Distributed, Order, on_rank_0
 from fracflow.model import stress as rock
 from fracflow.model.state import State
 from fracflow.output.fields import stored
-from fracflow.output.probes import Cells
+from fracflow.output.probes import Cells, fracture_fields
 from fracflow.output.sampling import StateSampler
 from fracflow.output.unmeshed import UnmeshedRock, far_stress
 from fracflow.scene.quantities import quantities
@@ -78,6 +78,19 @@ def rock_slabs(sample: StateSampler, mesh: SplitMesh | None) -> Iterator[Mapping
         blocks.comm, _distributed(blocks, _shown(blocks.solid, scene, sample.motion_here(), state))
     ) as found:
         yield found
+
+
+@contextmanager
+def fracture_slabs(sample: StateSampler) -> Iterator[Mapping[str, Slabs] | None]:
+    """Fields of fractures for ``FieldWriter.write_stored`` on rank 0, None elsewhere. Collective."""
+    blocks, columns = sample.sampler.operators.blocks, sample.sampler.fields
+    joints, total = blocks.joints, blocks.sizes.joints
+    ends = Order(blocks.comm, (2 * joints.ids[:, None] + np.arange(2)).ravel(), 2 * total)
+    each = Order(blocks.comm, joints.ids, total)
+    found = stored(fracture_fields(columns, columns.fill(sample.ends)), {"fracture": joints.fracture})
+    of_all = {name: (ends if name.startswith("point") else each).of(values) for name, values in found.items()}
+    with on_rank_0(blocks.comm, of_all) as arrays:
+        yield arrays
 
 
 def _distributed(blocks: Blocks, arrays: Mapping[str, ByRows]) -> dict[str, Distributed]:

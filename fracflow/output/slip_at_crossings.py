@@ -7,7 +7,7 @@ MPa).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -47,7 +47,7 @@ class SlipAtCrossing:
         return f"{self.fracture} beside {self.beside} at ({self.x:.6g}, {self.y:.6g}) from {start}"
 
 
-def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[SlipAtCrossing]:
+def handed_on(events: Iterable[Mapping[str, Any]], mesh: SplitMesh) -> list[SlipAtCrossing]:
     """Fractures whose first slip is at a crossing with one that slides already, by descending ``alone``.
 
     events  rows of events.csv
@@ -75,7 +75,7 @@ def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[Slip
     return sorted(found, key=lambda each: (-each.alone, each.start, each.fracture))
 
 
-def crossing_lines(events: Sequence[Mapping[str, Any]], mesh: SplitMesh, units: Mapping[str, str]) -> list[str]:
+def crossing_lines(events: Iterable[Mapping[str, Any]], mesh: SplitMesh, units: Mapping[str, str]) -> list[str]:
     """A line about fractures that begin to slip at crossings, none where there are none.
 
     units  names of length, force and time, as for ``shown``

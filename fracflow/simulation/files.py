@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow._version import __version__
 from fracflow.advance.step import Step
@@ -19,10 +20,9 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
-from fracflow.model.state import State
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
-from fracflow.output.checkpoint import restoring, write_checkpoint
+from fracflow.output.checkpoint import open_arrays, restoring, write_checkpoint
 from fracflow.output.events import Chatter
 from fracflow.output.fields import exchange, undo_exchange
 from fracflow.output.history import read_rows
@@ -36,12 +36,13 @@ from fracflow.reduction import as_lines as plan_lines
 from fracflow.remarks import marked, note
 from fracflow.scene.quantities import quantities
 from fracflow.storage.files import read_bytes
-from fracflow.storage.sealed import AGAIN, Slabs, digest
+from fracflow.storage.sealed import AGAIN, Slabs, digest, whole
 
 EVENT_MESH = "event_mesh.h5"
 UNMESHED = "rock_before"  # fields of the rock without a mesh, while an event has it meshed
 OF_EVENTS = "rock_of_events"  # fields of the rock on the mesh of events, while no event needs it
 Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
+EVENTS = "events"  # arrays of a checkpoint with what is known of them
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
 
@@ -67,6 +68,12 @@ class Before:
 def _aside(is_meshed: bool) -> tuple[str, str]:
     """Names of the families of fields that are set aside, and taken again, as the rock is meshed or its mesh is left."""
     return (UNMESHED, OF_EVENTS) if is_meshed else (OF_EVENTS, UNMESHED)
+
+
+def _events_in(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of events in a checkpoint, by name; none in that of an earlier version. Raises InputError."""
+    file, names = open_arrays(path), ("rows", "nodes")
+    return {name: file.array(f"{EVENTS}/{name}") for name in names if f"{EVENTS}/{name}" in file.layout}
 
 
 def scene_seal(folder: Path) -> str:
@@ -167,7 +174,7 @@ class Files:
         with restoring(self.folder / "checkpoint.h5") if notes is not None else nullcontext():
             self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
             if notes is not None:
-                self.events.remember(notes["events"])
+                self.events.remember({**notes["events"], **_events_in(self.folder / "checkpoint.h5")})
         self.count, self.is_ended = len(flow), False
         # a tip has no jump: what its law does with a stress past its strength is no slip
         is_apart = (self.mesh.joint_bottom != self.mesh.joint_top).ravel()
@@ -182,7 +189,8 @@ class Files:
         lines = np.arange(len(ends)).reshape(-1, 2)
         self.fractures = FieldWriter(path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes)
         self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
-        self.rock.forget_mesh()
+        for family in (self.rock, self.fractures):
+            family.forget_mesh()
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def hand_over(self, model: Model, rock: ShownRock) -> None:
@@ -219,12 +227,14 @@ class Files:
         notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
         notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
         notes |= {"volumes": asdict(state.volumes)}
-        memory = {"events": self.events.memory(), "fracflow": __version__}
+        events = self.events.memory()
+        found = {**arrays, **{f"{EVENTS}/{name}": whole(events.pop(name)) for name in ("rows", "nodes")}}
+        memory = {"events": events, "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         notes |= {"meshed": self.is_meshed}
         event = {"event_mesh": self.event_seal} if self.event_seal else {}
         seals = {"seals": {**event, "mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
-        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
+        write_checkpoint(self.folder / "checkpoint.h5", found, {**notes, **here, **memory, **about, **seals})
 
     def append(self, step: Step, snapshot: sampling.Snapshot | None, kind: int) -> None:
         """One row of history and the events up to it; ``kind`` is that of ``step/kind``. Raises OSError."""
@@ -280,11 +290,13 @@ class Files:
                 self.vtkhdf.update(is_last=True)  # its data have gone
         self.extra = index
 
-    def fields(self, index: int, state: State, values: Mapping[str, Any], rock: Mapping[str, Slabs]) -> None:
-        """Fields of fractures at ends (joints, 2, k) and, unless there are none, of the rock for ParaView."""
-        if rock:
-            self.rock.write_stored(index, state.time, rock)
-        self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+    def rock_fields(self, index: int, time: float, arrays: Mapping[str, Slabs]) -> None:
+        """Fields of the rock for ParaView, whose fields of fractures follow. Raises OSError."""
+        self.rock.write_stored(index, time, arrays)
+
+    def fracture_fields(self, index: int, time: float, arrays: Mapping[str, Slabs]) -> None:
+        """Fields of fractures at ends (joints * 2, ...) and joints (joints,). Raises OSError."""
+        self.fractures.write_stored(index, time, arrays)
         if self.vtkhdf is not None:
             self.vtkhdf.update()
 

@@ -19,7 +19,7 @@ from fracflow.output.checkpoint import prestress_array, state_arrays
 from fracflow.output.drawing.axes import shown
 from fracflow.output.probes import fracture_fields
 from fracflow.output.profiles import Timetable, intervals
-from fracflow.output.rock import rock_slabs, shown_rock
+from fracflow.output.rock import fracture_slabs, rock_slabs, shown_rock
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, factorisations, mesh_of_events
@@ -183,12 +183,14 @@ class Recorder:
         return index == 0 or bool((every := self.model.scene.output.fields_every) and index % every == 0)
 
     def _fields(self, sample: sampling.StateSampler, index: int, whole: bool = True) -> None:
-        ends = sample.fields(self.sampler.fields)
         none: AbstractContextManager[Mapping[str, Slabs] | None] = nullcontext({})
+        time = sample.state.time
         with rock_slabs(sample, self.model.mesh) if whole else none as rock:
-            if ends is not None and rock is not None:
-                values = fracture_fields(self.sampler.fields, ends)
-                self._write(lambda files: files.fields(index, sample.state, values, rock))
+            if rock:
+                self._write(lambda files: files.rock_fields(index, time, rock))
+        with fracture_slabs(sample) as fractures:
+            if fractures is not None:
+                self._write(lambda files: files.fracture_fields(index, time, fractures))
 
     @timed("FracOutput", "Output")
     def save(self, step: Step, finished: bool = False) -> None:
@@ -212,7 +214,7 @@ class Recorder:
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
         units = self.model.scene.unit_names
-        found = on_root(self.comm, lambda: crossing_lines(f.events.rows, f.mesh, units) if (f := self.files) else [])
+        found = on_root(self.comm, lambda: crossing_lines(f.events.rows(), f.mesh, units) if (f := self.files) else [])
         for line in found or ():
             self.log(line)
 

@@ -234,10 +234,10 @@ class SealedFile:
     def array(self, name: str) -> NDArray[Any]:
         """An array (rows, ...), whole. Raises InputError."""
         kind, shape = self.layout.get(name, ("", (0,)))
-        slabs = [self.rows(name, *each) for each in slabs_of(np.dtype(kind), shape)] if kind else []
-        if not slabs:
+        if not kind:
             raise InputError(f"{self._path}: {self._what} (it has no {name}); {self._remedy}")
-        return np.concatenate(slabs)
+        none = np.zeros((0, *shape[1:]), np.dtype(kind))
+        return np.concatenate([none, *(self.rows(name, *each) for each in slabs_of(none.dtype, shape))])
 
     def each(self, name: str, step: int) -> NDArray[Any]:
         """Every so manieth row (k, ...) of an array, from the first on. Raises InputError."""

@@ -5,7 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figures_verification.runs import solve
+from scipy.spatial import cKDTree
 
+from fracflow.diagnostics import nearest
+from fracflow.diagnostics.nearest import nearest_within
 from fracflow.diagnostics.thin_rock import FREE, LOCKS, thin_rock_lines
 from fracflow.mesh.plane.sizes import ERROR_OF_WEDGE, ROOT
 from fracflow.reduction.prepare import read_split
@@ -115,6 +118,19 @@ def test_fractures_side_by_side_need_joints_as_long_as_their_gap(tmp_path):
     (line,) = lines_of(tmp_path, traces(*places, size=gap / 1.5))
     assert "a covers all of b" in line and "some tens of" in line and "needs joints of 0.025 m" in line
     assert not lines_of(tmp_path, traces(*places, size=0.025))
+
+
+@pytest.mark.parametrize("stretch", [1.0, 20.0])
+def test_the_nearest_point_within_a_distance_is_that_of_a_tree(monkeypatch, stretch):
+    monkeypatch.setattr(nearest, "PAIRS", 1000)
+    random = np.random.default_rng(3)
+    places, points = (random.random((count, 2)) * (1.0, stretch) for count in (500, 300))
+    away, wanted = cKDTree(points).query(places)
+    for within in (0.0, 0.05, 30.0):
+        assert np.array_equal(nearest_within(places, points, within), np.where(away <= within, wanted, -1))
+    assert (nearest_within(places, points[:0], 1.0) == -1).all()
+    twice = np.concatenate([points, points])
+    assert np.array_equal(nearest_within(places, twice, 30.0), wanted)
 
 
 def test_triangles_bend_too_stiffly_by_the_square_of_their_size():

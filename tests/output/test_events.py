@@ -57,3 +57,30 @@ def test_another_table_is_refused(tmp_path):
     for name in ("events.csv", "none.csv"):
         with pytest.raises(InputError, match=name):
             read_events(tmp_path / name)
+
+
+def test_a_log_goes_on_from_a_checkpoint_and_from_that_of_an_earlier_version(tmp_path):
+    log = EventLog(tmp_path / "events.csv", NODES)
+    log.update(1.0, flags(0, 1), NO, np.array([0.1, 0.0, 0.0]), np.zeros(3), began=0.5)
+    log.add({"place": 2, "start": 0.5, "end": 1.0, "slip": 0.1, "peak_slip_rate": 3.0, "sections": 2, "moment": None})
+    log.update(2.0, flags(1), NO, np.array([0.3, 0.0, 0.0]), np.ones(3), began=1.0)
+    rows = list(log.rows())
+    assert [row["kind"] for row in rows] == ["slip", "slip", "event"] and rows[2]["fracture"] == "B, lower"
+    known = [{name: value for name, value in row.items() if value is not None or name == "end"} for row in rows]
+    before = {"row": [-1, 0, -1], "slip_before": [0.0] * 3, "peak_rate": [0.0, 1.0, 0.0]}
+    none = {"row": [-1] * 3, "slip_before": [0.0] * 3, "peak_rate": [0.0] * 3}
+    lists = {"rows": known, "plastic_slip": [0.3, 0.0, 0.0], "running": {"slip": before, "open": none}}
+    text = log.path.read_bytes()
+    for memory in (log.memory(), lists):
+        again = EventLog(tmp_path / "again.csv", NODES)
+        again.remember(memory)
+        assert again.path.read_bytes() == text
+        again.update(3.0, NO, flags(2), np.array([0.3, 0.2, 0.0]), np.zeros(3), began=2.0)
+        found = list(again.rows())
+        assert [(row["kind"], row["end"]) for row in found] == [
+            ("slip", 3.0),
+            ("slip", 2.0),
+            ("event", 1.0),
+            ("open", None),
+        ]
+        assert (found[0]["slip"], found[0]["peak_slip_rate"], found[2]["sections"]) == (0.2, 1.0, 2)

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_same_on_ranks import KEPT, SCENES, _settled, assert_agree
 
@@ -16,7 +17,7 @@ from fracflow._petsc import MPI
 from fracflow.cli.mesh import mesh_lines
 from fracflow.errors import InputError, Interrupted
 from fracflow.mesh.store import load_mesh, save_mesh
-from fracflow.output import read_events, read_history
+from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.reduction import locked_fractures
 from fracflow.reduction.locked_fractures import PART
 from fracflow.scene.scene import Scene, load
@@ -200,3 +201,8 @@ def test_slices_on_1_2_and_3_ranks(scene, settings, tmp_path):
             same = read_events(out / "events.csv")
             assert [(e["kind"], e["fracture"]) for e in same] == [(e["kind"], e["fracture"]) for e in events]
             assert [e["start"] for e in same] == pytest.approx([e["start"] for e in events], rel=1e-9)
+            first, mine = (read_step(list_steps(folder, "fractures")[0][1])[1:] for folder in (tmp_path / "1", out))
+            assert first[0].keys() == mine[0].keys() and np.array_equal(first[1]["fracture"], mine[1]["fracture"])
+            for name, values in first[0].items():
+                size = np.abs(values).max(initial=0.0, where=np.isfinite(values))
+                assert np.allclose(values, mine[0][name], rtol=1e-9, atol=1e-9 * size, equal_nan=True), name
