@@ -38,3 +38,13 @@ def parted(lines: Iterable[str]) -> tuple[list[str], list[str]]:
     for line in lines:
         found[line.startswith(NOTE)].append(bare(line))
     return found
+
+
+def counted(count: int, what: str) -> str:
+    """So many things: "1 rank", "2 ranks"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def digits(value: float, count: int = 2) -> str:
+    """A number of so many significant digits, without an exponent below 1e10: "530"."""
+    return f"{float(f'{value:.{count}g}'):.10g}"

@@ -17,7 +17,7 @@ from fracflow.model.loads import Loads, PrescribedValues
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
-from fracflow.remarks import note
+from fracflow.remarks import counted, note
 from fracflow.scene.time_table import AT_ONCE
 from fracflow.scene.units import LENGTH
 from fracflow.solve.request import LoadStep, StepRequest
@@ -87,4 +87,5 @@ def _summary(model: Model, state: State) -> str:
     opened = comm.allreduce(int(sections.is_open.sum()))
     farthest = state.motion.displacement.norm(PETSc.NormType.INFINITY)
     unit = model.scene.unit_system.behind(LENGTH)
-    return f"{slid} sections slid, {opened} are open, largest displacement {farthest:.3g}{unit}"
+    are_open = f"{opened} {'is' if opened == 1 else 'are'} open"
+    return f"{counted(slid, 'section')} slid, {are_open}, largest displacement {farthest:.3g}{unit}"

@@ -22,6 +22,7 @@ from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.event_mesh import cells_of_event, event_scene, period_of_event
 from fracflow.reduction.far_sides import one_obstacle
 from fracflow.reduction.prepare import prepare
+from fracflow.remarks import digits
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import (
     ITERATIONS,
@@ -102,7 +103,7 @@ def price_of_events(model: Model) -> dict[str, str]:
     """Cost of events of rock without a mesh, by the seconds of an iteration on the mesh that they get."""
     cells = int(cells_of_event(model.scene, model.bounded))
     period = period_of_event(model.scene, model.bounded)
-    mesh = {"mesh of the first event, about": f"{cells:.2g} cells, made in {MESHES * cells:.2g} CPU s"}
+    mesh = {"mesh of the first event, about": f"{digits(cells)} cells, made in {digits(MESHES * cells)} CPU s"}
     return mesh | cost_of_events(model, _in_event(model, cells), ITERATIONS, period)
 
 
@@ -162,5 +163,5 @@ def _cost(model: Model, steps: int) -> dict[str, str]:
     besides += ["searches"] if searches else []
     besides += ["fast slip by rate and state, which may be thousands"] if model.scene.creeps else []
     without = f", without those of {'; of '.join(besides)}" if besides else ""
-    found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(parts)}"
+    found[f"time of the steps planned, at most about{without}"] = f"{digits(seconds)} CPU s: {'; '.join(parts)}"
     return found

@@ -17,6 +17,7 @@ from fracflow.mesh.facets import outer_besides, spot
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
+from fracflow.remarks import digits
 from fracflow.scene.geometry import read_traces
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import parse_toml, write_key, write_value
@@ -114,7 +115,7 @@ def _text(parts: SceneParts, path: Path) -> str:
         fracture=write_key(shown_plain(longest)),
         sides=write_value(list(parts.sides)),
         name=write_value(longest),
-        rate=_round(RATE * parts.extent),
+        rate=digits(RATE * parts.extent),
     )
 
 
@@ -134,7 +135,7 @@ def _of_traces(table: Path, path: Path) -> SceneParts:
     text = f"""[geometry] # x to the right, y upward [m]; the sides are called west, south, east, north
 domain = [{", ".join(f"{each:.10g}" for each in corners)}] # xmin, ymin, xmax, ymax: around the traces
 fractures_csv = {write_value(_relative(table, path))}
-size = {_round(coarse)} # of cells away from fractures; leave both sizes out, and they follow from the scene
+size = {digits(coarse)} # of cells away from fractures; leave both sizes out, and they follow from the scene
 size_at_fractures = {_below(fine)}
 {_named(order)}"""
     return SceneParts(text, extent, order)
@@ -163,11 +164,6 @@ def _of_mesh(file: Path, path: Path, trust: bool) -> SceneParts:
 file = {write_value(_relative(file, path))}
 {_named(order)}"""
     return SceneParts(text, float(np.ptp(raw.points, axis=0).max()), order, raw.rocks, raw.sides)
-
-
-def _round(size: float) -> str:
-    """A size with two digits."""
-    return f"{float(f'{size:.2g}'):.10g}"
 
 
 def _below(size: float) -> str:

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from fracflow.advance.substeps import SubstepCursor
 from fracflow.output.drawing.axes import shown, unit_for
+from fracflow.remarks import counted
 from fracflow.scene.boundary import Stage
 from fracflow.scene.units import TIME, TIME_UNITS
 from fracflow.simulation.observer import Observer
@@ -93,9 +94,12 @@ class RunProgress(Observer):
         self.pace.add(self.seconds(), share, event)
         self.events.add(self.seconds(), step.progress if event else None)
         head = f"stage {step.stage + 1} of {len(self.scene.stage)} ({stage.title}): {self._where(stage, step)}"
-        found = "" if self.counts is None else f", {self.counts[0]} sections slip, {self.counts[1]} open"
+        found = ""
+        if self.counts is not None:
+            slipping, opened = self.counts
+            found = f", {counted(slipping, 'section')} slip{'s' * (slipping == 1)}, {opened} open"
         self.line, self.share = head + found + ("" if event else self.events.account), share
-        rejected = f", {self.rejected} trials rejected" if self.rejected else ""
+        rejected = f", {counted(self.rejected, 'trial')} rejected" if self.rejected else ""
         left = self._left(stage, step.progress if event else None)
         self.show(self.line + rejected + (f"; {left}" if left else ""), share)
 

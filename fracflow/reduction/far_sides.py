@@ -26,7 +26,7 @@ from fracflow.model.state import State
 from fracflow.reduction.decision import Decision, ReductionInput, tolerance_of
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths, typical_length
 from fracflow.reduction.sliced import Kept
-from fracflow.remarks import note
+from fracflow.remarks import digits, note
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
@@ -169,9 +169,9 @@ def near_sides(scene: Scene) -> list[str]:
     unit, enough = scene.unit_system.behind(LENGTH), (ANSWERED / ALARMING) ** 0.5 * half
     others = f" (so near for their lengths: {len(near) - 1} more)" if len(near) > 1 else ""
     return [
-        f"sides: {name}, {2 * half:.3g}{unit} long, comes within {away:.3g}{unit} of a side{others}: if the rock goes on there"
-        f" in fact, slip and opening may be off by up to {100 * change / (1 + change):.2g} %; sides {enough:.2g}{unit} away"
-        f' leave a tenth, and geometry.domain = "unbounded" has none'
+        f"sides: {name}, {digits(2 * half, 3)}{unit} long, comes within {digits(away, 3)}{unit} of a side{others}: if the rock"
+        f" goes on there in fact, slip and opening may be off by up to {100 * change / (1 + change):.2g} %; sides"
+        f' {digits(enough)}{unit} away leave a tenth, and geometry.domain = "unbounded" has none'
     ]
 
 

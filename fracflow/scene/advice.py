@@ -36,6 +36,7 @@ def advice(scene: Scene) -> list[str]:
         *_without_flow(scene),
         *_shut_wells(scene),
         *_fading(scene),
+        *_beyond_end(scene),
         *_too_long(scene),
         *_let_go(scene),
         *_bouncing(scene),
@@ -154,6 +155,24 @@ def _reflecting(scene: Scene) -> Iterator[str]:
             "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides"
             f"{other}"
         )
+
+
+def _beyond_end(scene: Scene) -> Iterator[str]:
+    """Stages whose steps are longer than they last."""
+    start = 0.0
+    for stage in scene.stage:
+        if stage.takes_no_time:
+            continue
+        if stage.until is not None or not stage.step_count(start):  # nothing in the scene says when it ends
+            return
+        end = stage.finish(start)
+        if stage.end is not None and stage.time_step is not None and stage.time_step > (end - start) * (1.0 + 1e-9):
+            lasts = scene.time_text(end - start)
+            yield (
+                f"stage {stage.title}: time_step = {scene.time_text(stage.time_step)} is longer than the stage, which lasts"
+                f" {lasts}: its first step ends it; take a shorter one, or a later end"
+            )
+        start = end
 
 
 def _too_long(scene: Scene) -> Iterator[str]:

@@ -29,7 +29,7 @@ from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.reduction.sliced import Kept, Whole, kept_mesh
-from fracflow.remarks import marked, note
+from fracflow.remarks import counted, marked, note
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -117,7 +117,7 @@ def _begun(
     sizes = model.operators.blocks.sizes
     cells = "rock without cells" if model.scene.is_unbounded else f"{sizes.cells} cells"
     recorder.log(
-        f"fracflow {__version__}, {comm.size} ranks: {cells}, {sizes.nodes} nodes, {sizes.joints} joints"
+        f"fracflow {__version__}, {counted(comm.size, 'rank')}: {cells}, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
     for line in (*advice(scene), *notes, *whole.placed.notes):
@@ -180,7 +180,7 @@ def resume(
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)
         done = recorder.totals.steps
-        recorder.log(note(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks"))
+        recorder.log(note(f"resumed after {done} steps, at time {state.time:.6g}, on {counted(comm.size, 'rank')}"))
         undone, ready = notes["totals"]["undone"], _Begun(rocks, recorder, step, began, folder)
     else:
         # the folder alone suffices: the mesh file may have moved or changed

@@ -13,6 +13,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.places import extent_of, place_text
 from fracflow.model.properties import on_joints
+from fracflow.remarks import counted
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import worst_fracture
 from fracflow.solve.floating import Floating
@@ -86,7 +87,7 @@ def describe_failure(
     weakness, start = NEWTON_METHODS[name].weakness, problem.state.sections
     slipped = fractures_of(blocks, start.is_sliding | start.inelastic.any(axis=1)) if weakness else ""
     cycling = [
-        f"{count} sections keep changing between {between}: {places}; "
+        f"{counted(count, 'section')} keep{'s' * (count == 1)} changing between {between}: {places}; "
         for chosen, between in ((restless, "sticking and sliding"), (flipped, "open and closed"))
         if not slipped
         and (count := blocks.comm.allreduce(int(chosen.sum())))

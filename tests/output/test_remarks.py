@@ -3,7 +3,7 @@
 import pytest
 
 from fracflow.output.remarks import FROZEN, MOST_RESULTS, alike, last_limit, saved
-from fracflow.remarks import bare, has_mark, marked, note, parted
+from fracflow.remarks import bare, counted, digits, has_mark, marked, note, parted
 from fracflow.run_report.words import log_lines
 
 pytestmark = pytest.mark.serial
@@ -30,7 +30,7 @@ def test_a_remark_is_a_warning_unless_it_is_written_as_a_note():
 
 
 def test_a_page_has_each_line_once_with_its_head():
-    log = [*NOTES, *map(marked, WARNINGS), marked(WARNINGS[2]), "fracflow 0.1.0, 1 ranks: 24 cells"]
+    log = [*NOTES, *map(marked, WARNINGS), marked(WARNINGS[2]), "fracflow 0.1.0, 1 rank: 24 cells"]
     heads = dict(log_lines(log, of_notes=False))
     assert set(heads) == {"fracture.default.aperture = 1 m is unusually large", "near miss", "time 4.17 h"}
     assert "(and 1 more like it)" in heads["time 4.17 h"]
@@ -64,3 +64,8 @@ def test_the_last_limit_point_has_its_place(head):
 def test_a_verdict_is_not_said_twice():
     kept = {"verdict": "kept", "saves": "nothing: kept, it costs no more"}
     assert saved(kept) == "it costs no more" and saved({**kept, "verdict": "left out"}) == kept["saves"]
+
+
+def test_numbers_in_words():
+    assert [counted(1, "rank"), counted(0, "section"), counted(2, "rank")] == ["1 rank", "0 sections", "2 ranks"]
+    assert [digits(530.4), digits(1234.0, 3), digits(0.00123), digits(2.5e12)] == ["530", "1230", "0.0012", "2.5e+12"]

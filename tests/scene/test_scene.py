@@ -118,6 +118,14 @@ def test_an_option_that_reaches_no_solver_is_told(make):
     assert line.startswith("petsc.ksp_type reaches no solver: ") and "monolithic, whole-lu, solid, flow" in line
 
 
+@pytest.mark.parametrize("step, told", [("3", ["lasts 2 s"]), ("2", []), ("1.5", [])])
+def test_a_step_beyond_the_end_of_its_stage_is_told(make, step, told):
+    """The stage before it moves its start."""
+    stages = f'stage=[{{kind="quasi-static", time_step=1, end=5}}, {{kind="quasi-static", time_step={step}, end=7}}]'
+    lines = [line for line in advice(make(stages)) if "is longer than the stage" in line]
+    assert len(lines) == len(told) and all(word in line for word, line in zip(told, lines, strict=True))
+
+
 def test_values_of_another_unit_are_told(make):
     lines = advice(make("fracture.fault.leak_off={permeability=1e-3, storage=1e-10}", "fracture.fault.aperture=2"))
     assert [line for line in lines if "unusually" in line] == [
