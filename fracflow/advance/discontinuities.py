@@ -142,6 +142,9 @@ def _first_instant(
         done.callback(problem.destroy)
         problem.trial_status = status
         problem.evaluate()
+        # explicit steps damp the mean motion of a step: that force stays, where a stage goes on with them
+        acting = [term.name for term in problem.terms.acting]
+        lasting = {name: force for name, force in begun.forces.of_terms.items() if name not in acting}
         compressible = ops.flow is not None and ops.flow.compressibility > 0.0
         if compressible and dt is not None:
             rate = starting_rate(ops, problem, dt)
@@ -151,14 +154,14 @@ def _first_instant(
         elif not compressible and problem.residual.flow > model.scene.accuracy.residual:
             starting_pressure(model.scene, ops, closed, problem)
             problem.evaluate()
-        initial_acceleration(ops, problem, motion.acceleration)
+        initial_acceleration(ops, problem, motion.acceleration, lasting.values())
         parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
         for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
             problem.pressure.getArray()[part.nodes] += level
         if parts:
             problem.evaluate()
-            initial_acceleration(ops, problem, motion.acceleration)
-        forces = balanced_forces(problem, motion)
+            initial_acceleration(ops, problem, motion.acceleration, lasting.values())
+        forces = balanced_forces(problem, motion, lasting)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.recorded(), forces=forces)
     return replace(start, previous_step=PreviousStep(), uptake=rate)

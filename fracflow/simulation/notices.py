@@ -37,9 +37,7 @@ WIDENS = 2.0  # and again where an aperture grew by as much more
 REMEDY = '; kind = "auto" takes such slip with inertia'
 MOST_SLIP = 1.0  # times D_c: what a step with inertia may slip, an error of 1 % of slip on its way (R19)
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
-DAMPED = (
-    0.05  # of the energy of motion: from which share on the log reports damping at faults, where friction takes less
-)
+DAMPED = 0.03  # of the energy of motion and friction: in resolved ruptures it is a hundredth
 LEAST_DAMPED = 1e-6  # of the largest entry of the energy balance: less is round-off of rock at rest
 MOTION = ("kinetic", "friction", "radiated", "viscous")  # entries that it is in, or has become
 
@@ -197,18 +195,19 @@ class Notices:
             totals.spurious, totals.spurious_time = share, time
 
     def _damped(self, state: State) -> None:
-        """A line, once, where damping at faults takes waves that pass, and not what slip sends out."""
+        """A line where damping at faults takes more than what the mesh cannot carry, and again where twice as much."""
         energy = state.energy
-        taken, friction = energy["damping"], energy["friction"]
-        moving = taken + sum(energy[name] for name in MOTION)
-        is_small = share_of_balance(energy, "damping") < LEAST_DAMPED
-        if self._totals.damped or is_small or taken < friction or taken < DAMPED * moving:
+        moving = energy["damping"] + sum(energy[name] for name in MOTION)
+        if share_of_balance(energy, "damping") < LEAST_DAMPED:
             return
-        self._totals.damped = 1
+        share = energy["damping"] / moving
+        if share <= max(DAMPED, 2.0 * self._totals.damped):
+            return
+        self._totals.damped = share
         self._doubt(
-            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * taken / moving:.2g} % of the"
-            " energy of motion, and friction less: waves that pass fractures come out too weak. Take smaller cells there, or"
-            " fault_damping = 0 if little slides"
+            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * share:.2g} % of the energy of"
+            " motion and friction: slip of patches of few cells, and waves that pass fractures, come out too weak. Take"
+            " smaller cells there, or fault_damping = 0 if little slides"
         )
 
     def _pressure(self, time: float, drive: float) -> None:

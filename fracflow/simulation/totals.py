@@ -25,6 +25,7 @@ class Totals:
     evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     missed    work of friction that steps with inertia miss, and ``turning``, whether the log has a line on it
+    damped    largest share of energy that damping at faults has taken, as the log last reported it
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
     at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
@@ -53,7 +54,7 @@ class Totals:
     sucked: int = 0
     open_tips: int = 0
     overlapped: int = 0
-    damped: int = 0
+    damped: float = 0.0
     widening: float = 1.0
     missed: float = 0.0
     turning: int = 0

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import taken_between
@@ -53,10 +53,14 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
 
 
-def balanced_forces(problem: StepProblem, motion: Motion) -> Forces:
-    """Terms of both balances at one instant, with the reactions of what is held; the caller owns them. Collective."""
+def balanced_forces(problem: StepProblem, motion: Motion, lasting: Mapping[str, PETSc.Vec] | None = None) -> Forces:
+    """Terms of both balances at one instant, with the reactions of what is held; the caller owns them. Collective.
+
+    lasting  forces of terms that follow from the step before, and not from the motion at the instant, by their names
+    """
     ops = problem.operators
     of_terms = problem.terms.forces(motion.velocity)
+    of_terms |= {name: force.copy() for name, force in (lasting or {}).items()}
     support = static_balance(
         ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, of_terms.values()
     )

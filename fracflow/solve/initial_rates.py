@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,20 +73,26 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
     return rate
 
 
-def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
-    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective.
+def initial_acceleration(
+    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, lasting: Iterable[PETSc.Vec] = ()
+) -> None:
+    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)), less ``lasting`` forces on the left; zero where held. Collective.
 
     Walls whose mass was moved inward move with the nodes that carry it, P a = a, where their forces act: M a = P' f.
     """
     matrix, solver = _mass(operators, problem.loads)
-    force = problem.solid_balance.copy()
+    balance = problem.solid_balance.copy()
+    for each in lasting:
+        balance.axpy(1.0, each)
+    problem.loads.release(balance)
+    force = balance.copy()
     if operators.inward is not None:
-        operators.inward.multTranspose(problem.solid_balance, force)
+        operators.inward.multTranspose(balance, force)
         problem.loads.release(force)
     solver.solve(force, acceleration)
     check_solution(solver, acceleration, force, f"time {problem.time:.6g}: first accelerations")
     acceleration.scale(-1.0)
-    destroy(force, solver, matrix)
+    destroy(balance, force, solver, matrix)
 
 
 def first_levels(
