@@ -214,7 +214,7 @@ class RunData:
         moment = float((time[half:] - time[: len(time) - half]).min()) if half and self.has_dynamics else whole
         if moment >= MOMENT * whole:
             return self.times(steps)
-        words = (shown(TIME, each, self.units, 2) for each in (moment, whole))
+        words = (shown(TIME, each, self.units, 3) for each in (moment, whole))
         return Abscissa(steps, self._numbers(steps), f"step (half of them within {' of '.join(words)})")
 
     def _numbers(self, steps: slice) -> Floats:

@@ -431,3 +431,19 @@ def test_faults_with_few_cells_are_told():
     told = few_cells(blocks, all_of_them)
     assert "short (5 cells, about 20 %), half (10 cells, about 10 %);" in told and "long (" not in told
     assert few_cells(blocks, joints.fracture == 1) == ""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "warns"),
+    [
+        ("title=x", True),
+        ("method.fault_damping=0", False),
+        ("method.stepper=newmark", False),
+        ("absorbing.0={on='west'}", False),
+    ],
+)
+def test_waves_that_come_in_to_damped_cells_are_told_before_a_run(tmp_path, override, warns):
+    (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [override]))
+    assert any("waves that come in" in line for line in lines) == warns

@@ -9,6 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.model.balance import static_balance_of
 from fracflow.model.mass import inverse_mass
 from fracflow.output import read_history
+from fracflow.output.checkpoint import read_arrays
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
@@ -420,7 +421,12 @@ def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     assert np.abs(rows["energy/residual"]).max() < 1e-10 * largest
     for name in ("kinetic", "radiated", "damping", "friction", "work_boundaries", "work_incident"):
         assert np.abs(single[f"energy/{name}"]).max() > 1e-6 * largest, name  # all of them act
+    kept = read_arrays(tmp_path / "single" / "checkpoint.h5")
     for name in ("rows", "mixed"):
         assert_alike(tmp_path / "single", tmp_path / name, 1e-13)
+        found = read_arrays(tmp_path / name / "checkpoint.h5")
+        for key in ("friction", "sections/record", "sections/blur"):
+            assert np.abs(kept[key]).max() > 0.0, key
+            assert found[key] == pytest.approx(kept[key], rel=1e-11, abs=1e-12 * np.abs(kept[key]).max()), key
     for name, values in rows.items():
         assert np.array_equal(values, parts[name], equal_nan=True), name
