@@ -182,7 +182,7 @@ def _too_long(scene: Scene) -> Iterator[str]:
     for absorbing in scene.absorbing:
         times = absorbing.wave.velocity.times if absorbing.wave is not None else ()
         shortest = min((after - time for time, after in pairwise(times) if after > time), default=math.inf)
-        if longest > shortest:
+        if longest > shortest * (1.0 + 1e-9):  # intervals are differences of times
             yield (
                 f"absorbing {', '.join(absorbing.on)}: time_step = {longest:g} is longer than {shortest:g}, the shortest"
                 " interval of the wave's table: what happens within a step is lost; take a shorter one"

@@ -135,7 +135,7 @@ def test_a_moment_of_motion_after_days_is_drawn_over_steps(tmp_path):
     late = data.history["time"] + np.where(np.arange(STEPS) < STEADY, np.linspace(-2e5, 0.0, STEPS), 0.0)
     found = replace(data, history={**data.history, "time": late}, units={"time": "s"})
     assert data.abscissa(data.settled).label == data.times(data.settled).label
-    assert found.abscissa(slice(None)).label == "step (half of them within 11 ms of 2.3 days)"
+    assert found.abscissa(slice(None)).label == "step (half of them within 10.6 ms of 2.31 days)"
     assert list(found.abscissa(slice(2, None)).values[:3]) == [2.0, 3.0, 4.0]
     assert found.times(slice(None)).label == "time [days]"
     assert replace(found, has_dynamics=False).abscissa(slice(None)).label == "time [days]"
