@@ -286,3 +286,11 @@ def test_a_mesh_that_is_kept_for_other_tests_is_the_one_that_gmsh_makes(tmp_path
         with pytest.raises(InputError):
             read_mesh(wrong, set())
     assert len(made) == 5  # no error is kept
+
+
+@pytest.mark.serial
+def test_a_worker_that_lacks_a_module_is_no_fault_of_the_file(tmp_path, monkeypatch):
+    (tmp_path / "box.geo").write_text('SetFactory("OpenCASCADE");\nRectangle(1) = {0, 0, 0, 1, 1};\n')
+    monkeypatch.setattr(gmsh, "_run", lambda *given: (1, "ModuleNotFoundError: No module named 'numpy'"))
+    with pytest.raises(InputError, match=r"box.geo: Gmsh failed: .*'numpy'; install that module"):
+        read_mesh(tmp_path / "box.geo", set())

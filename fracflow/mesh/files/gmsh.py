@@ -219,10 +219,12 @@ def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:
 def _remedy(what: str, said: str, allowed: Limits) -> str:
     if any(word in said for word in OUT_OF_MEMORY):
         return f"it may use {allowed.memory / 2**30:.3g} GiB; let it make fewer cells, or set {MEMORY[0]} to more GiB"
-    if what.endswith(".msh"):
-        return "save it again from Gmsh"
     if "netCDF4" in said:
         return "pip install netCDF4"
+    if "ModuleNotFoundError" in said:
+        return "install that module beside fracflow, or set it up again"
+    if what.endswith(".msh"):
+        return "save it again from Gmsh"
     if Path(what).suffix in FORMATS:
         return "save it again, or as a Gmsh .msh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
