@@ -22,7 +22,7 @@ from fracflow.output.remarks import MESH_OF_EVENTS
 from fracflow.reduction.decision import Decision
 from fracflow.reduction.mesh_size import ACROSS, graded_count, growth_of, trace_lengths
 from fracflow.reduction.unresolved import unresolved, unresolved_slip
-from fracflow.remarks import note
+from fracflow.remarks import digits, note
 from fracflow.scene.method import Points
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import Absorbing
@@ -96,7 +96,7 @@ def before_events(scene: Scene, bounded: Scene | None = None) -> tuple[str, ...]
     points = np.array([point for trace in geometry.fracture for point in trace.points])
     extent, margin = float(np.ptp(points, axis=0).max()), geometry.event_margin
     beside = MARGIN * extent if margin is None else margin
-    change = f"the slip and opening of an event by about {100.0 * nearness(extent, beside):.2g} %"
+    change = f"the slip and opening of an event by about {digits(100.0 * nearness(extent, beside))} %"
     sides = "the sides of the scene"
     if bounded is None:
         sides = f"absorbing sides (geometry.event_margin), which change {change}"

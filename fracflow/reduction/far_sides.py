@@ -160,7 +160,7 @@ def near_sides(scene: Scene) -> list[str]:
     if back > max([ALARMING, *(each[0] for each in near)]):
         return [
             f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_largest_nu(scene):g} fractures"
-            f" that open wide do so by up to {100 * back / (1 + back):.2g} % less than in rock that goes on there: put"
+            f" that open wide do so by up to {digits(100 * back / (1 + back))} % less than in rock that goes on there: put"
             f' the sides {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
         ]
     if not near:
@@ -170,7 +170,7 @@ def near_sides(scene: Scene) -> list[str]:
     others = f" (so near for their lengths: {len(near) - 1} more)" if len(near) > 1 else ""
     return [
         f"sides: {name}, {digits(2 * half, 3)}{unit} long, comes within {digits(away, 3)}{unit} of a side{others}: if the rock"
-        f" goes on there in fact, slip and opening may be off by up to {100 * change / (1 + change):.2g} %; sides"
+        f" goes on there in fact, slip and opening may be off by up to {digits(100 * change / (1 + change))} %; sides"
         f' {digits(enough)}{unit} away leave a tenth, and geometry.domain = "unbounded" has none'
     ]
 

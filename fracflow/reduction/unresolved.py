@@ -18,6 +18,7 @@ from fracflow.mesh.plane.quality import BLUNT
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.whole import share_of_blunt
 from fracflow.reduction.mesh_size import SAME, WorstCell, needs, typical_length, worst_of
+from fracflow.remarks import digits
 from fracflow.scene.advice import GENTLE, is_for_explicit
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
@@ -83,7 +84,7 @@ def _blunt(mesh: SplitMesh) -> Iterator[str]:
     share = share_of_blunt(mesh)
     if share > BLUNT:
         yield (
-            f"mesh: {100 * share:.2g} % of the cells have a corner over 150 degrees: such cells are too stiff, and slip and"
+            f"mesh: {digits(100 * share)} % of the cells have a corner over 150 degrees: such cells are too stiff, and slip and"
             " opening may be far too small: mend the mesh, or let its sizes grow by less per length"
         )
 

@@ -20,7 +20,7 @@ from fracflow.model.setup import Model
 from fracflow.model.small_strains import beyond_small_strains
 from fracflow.model.state import State, StepReport
 from fracflow.output.drawing.axes import shown
-from fracflow.remarks import ACT, marked, note
+from fracflow.remarks import ACT, digits, marked, note
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
@@ -205,8 +205,8 @@ class Notices:
             return
         self._totals.damped = share
         self._doubt(
-            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {100.0 * share:.2g} % of the energy of"
-            " motion and friction: slip of patches of few cells, and waves that pass fractures, come out too weak. Take"
+            f"time {self._scene.time_text(state.time)}: method.fault_damping has taken {digits(100.0 * share)} % of the energy"
+            " of motion and friction: slip of patches of few cells, and waves that pass fractures, come out too weak. Take"
             " smaller cells there, or fault_damping = 0 if little slides"
         )
 

@@ -56,6 +56,7 @@ from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
 from fracflow.model.solid import assembled, by_shape, deformable, elasticity, projected, rock_values, summed_at_nodes
 from fracflow.model.terms.term import MeanDamping, Term
+from fracflow.remarks import digits
 from fracflow.scene.scene import Scene
 
 AUTO = 0.25  # of the critical damping of a cell's fastest vibration
@@ -134,7 +135,7 @@ def few_cells(blocks: Blocks, damped: Bools) -> str:
     if not few:
         return ""
     told = ", ".join(
-        f"{name} ({count} cells, about {100.0 * min(1.0, LOST / count):.2g} %)" for count, name in few[:MOST_NAMES]
+        f"{name} ({count} cells, about {digits(100.0 * min(1.0, LOST / count))} %)" for count, name in few[:MOST_NAMES]
     )
     more = f" and {len(few) - MOST_NAMES} more" if len(few) > MOST_NAMES else ""
     return (

@@ -9,6 +9,7 @@ from math import ceil, floor, log10
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fracflow.remarks import digits
 from fracflow.scene.units import (
     ACCELERATION,
     DENSITY,
@@ -156,13 +157,14 @@ def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str]
     return Axis(factor, unit, reference, shown(dimension, reference, units))
 
 
-def shown(dimension: str, value: float, units: Mapping[str, str], digits: int = 10) -> str:
-    """A value in the unit that suits it: 0.24 s, 5.17 days."""
+def shown(dimension: str, value: float, units: Mapping[str, str], count: int = 10) -> str:
+    """A value in the unit that suits it, of so many digits: 0.24 s, 1 day, 5.17 days."""
     factor, unit = unit_for(dimension, value, units)
     if unit.startswith("10"):  # a number alone may do without a power of ten
-        plain = f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 else f"{factor * value:.{digits}g}×{unit.split()[0]}"
+        plain = f"{value:.{count}g}" if 1e-4 <= abs(value) < 1e6 else f"{factor * value:.{count}g}×{unit.split()[0]}"
         return f"{plain} {unit_text(dimension, units, is_printed=True)}".rstrip()
-    return f"{factor * value:.{digits}g} {unit}".rstrip()
+    number = digits(factor * value, count)
+    return f"{number} {'day' if (number, unit) == ('1', 'days') else unit}".rstrip()
 
 
 def _round_number(value: float, span: float) -> float:
