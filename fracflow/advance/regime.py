@@ -134,7 +134,7 @@ class EventState:
         stepper += ", which damps what the steps do not resolve"
         remedies = [*leave, *([] if damps else [stepper]), "raise at_rest"]
         return (
-            f"the event that began at {self.begun:.9g} has lasted {LONG:g} longest periods and is not at rest; where nothing"
+            f"the event has lasted {LONG:g} longest periods and is not at rest; where nothing"
             f" damps its waves it never is: {', or '.join(remedies)}"
         )
 
