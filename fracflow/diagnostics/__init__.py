@@ -29,7 +29,8 @@ OF_STATES = (slip.state_zone, slip.state_nucleation, slip.rate_dependence, slip.
 def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[Number]:
     """The numbers of a scene on its mesh; ``wells`` name -> flow nodes. On one process."""
     view = CheckInput(scene, gather(scene, mesh, wells))
-    return [number(view) for number in (*NUMBERS, *(OF_STATES if view.joints.evolution.any() else ()))]
+    more = (slip.start_past_strength,) if scene.carries_unbalanced else ()
+    return [number(view) for number in (*NUMBERS, *more, *(OF_STATES if view.joints.evolution.any() else ()))]
 
 
 def as_lines(numbers: list[Number]) -> list[str]:

@@ -50,6 +50,7 @@ class CheckJoints:
                      equal cells of depth h [stress time^2/length]
     component        hydraulic component
     reach            of its component, the longest way along the network to a prescribed pressure; inf where none is [length]
+    used             (j, 2) |f_s|/f_sy at the start, above 1 where it is past its strength; NaN of laws without one
     is_held          (j,) whether its fracture has a prescribed pressure, so that its flow has no equation
     """
 
@@ -79,6 +80,7 @@ class CheckJoints:
     mass: Floats
     component: Ints
     reach: Floats
+    used: Floats
     is_held: Bools
 
 
@@ -96,7 +98,11 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(ends("hydraulic"), ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
-    drop, distance, *states = _of_laws(scene, mesh, ends, *initial_tractions(scene, mesh))
+    sheared, normal = initial_tractions(scene, mesh)
+    drop, distance, *states = _of_laws(scene, mesh, ends, sheared, normal)
+    laws = tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures)
+    has_strength = np.array([bool(law.status) and law.slides for law in laws], dtype=bool)[mesh.joint_fracture]
+    strength = np.nan_to_num(ends("cohesion")) + np.maximum(-normal, 0.0) * ends("friction")
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
@@ -106,7 +112,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
         direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
         front_length=states[5],
-        laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
+        laws=laws, used=np.where(has_strength[:, None] & (strength > 0.0), np.abs(sheared) / strength, np.nan),
         modulus=2.0 * _in_series(beside["modulus"]), mode_2_modulus=2.0 * _in_series(beside["mode_2_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
         shear_speed=beside["shear_speed"], softer=_of_slower(beside["shear_speed"], beside["shear"]),

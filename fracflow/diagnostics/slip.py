@@ -27,6 +27,7 @@ STEADY = 1e-3  # of |ln(V theta/D_c)|: slip that is steady, to the digits that a
 FASTEST_GROWTH = 0.096
 """Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
 of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
+PAST = 1.01  # of the strength at the start
 STIFF = {"gauss2": 1.0, "one-point": 0.5}
 """Where tractions begin to oscillate, as measured (scripts/figures stability --only S5); nodal ones do not."""
 
@@ -135,6 +136,20 @@ def nucleation(view: CheckInput) -> Number:
     if length >= limit:
         return Number(name, formula, length, limit, False, where, note="5 h")
     return Number(name, formula, length, limit, True, where, _finer(view, joint, length / limit), "5 h")
+
+
+def start_past_strength(view: CheckInput) -> Number:
+    """|f_s|/f_sy at the start: what is above 1 is let go at once, and slip of a law without a slip length has no scale then."""
+    name, formula, joints = "start over strength", "|f_s0|/(C - f_n0 tan phi)", view.joints
+    value, _, where = view.worst(np.where(view.weakens, np.nan, joints.used))
+    if value is None or value <= PAST or not view.dynamic:
+        return Number(name, formula, value, PAST, False, where)
+    remedy = (
+        "the excess is let go at once: how far slip runs from there depends on cells and damping, by tens of per cent, however"
+        " fine they are: begin below the strength, or give a law that weakens over a slip which joints resolve, such as"
+        ' law = "slip-weakening"'
+    )
+    return Number(name, formula, value, PAST, True, where, remedy)
 
 
 def cohesive_zone(view: CheckInput) -> Number:

@@ -32,6 +32,6 @@ def test_sliding_network(tmp_path):
 
 def test_explicit_steps(tmp_path):
     """Sweeps are loops of C where there is a compiler; a step has a sweep in it."""
-    found = explicit.measure(1000.0, "triangles", 2, 4, tmp_path / "run")
+    found = explicit.measure(1000.0, "triangles", True, explicit.Way(2, 4, 1, tmp_path / "run"))
     assert bool(found["bound_by_memory"] < float("inf")) == bool(shutil.which("cc") or shutil.which("gcc"))
     assert found["unknowns"] > 500 and found["sections"] > 0 and 0.0 < found["sweep_ms"] < found["step_ms"]

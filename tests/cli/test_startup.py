@@ -13,7 +13,7 @@ from fracflow.scene.units import BASE, PARTS, USUAL, _registry
 
 LATE = {"matplotlib", "PIL", "pint", "pandas", "gmsh", "meshio", "IPython", "scipy", "xml", "http"}
 """Packages without which a run of one joint in SI units comes to its pictures."""
-MODULES, OF_OTHERS = 265, 210  # by the first step, beside NumPy, mpi4py, petsc4py and h5py; pint alone has 250
+MODULES, OF_OTHERS = 268, 210  # by the first step, beside NumPy, mpi4py, petsc4py and h5py; pint alone has 250
 TO_PICTURES = """
 import sys, fracflow.cli.run
 fracflow.cli.run.show = lambda *_: print(*{name.partition(".")[0] for name in sys.modules})

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
 from fracflow.cli.app import app
+from fracflow.diagnostics import pre_run_checks
 from fracflow.integrators.explicit import damped_rate
 from fracflow.model.mass import cell_rates
 from fracflow.model.terms.fault_damping import asymmetry, damping_at_faults, few_cells, is_sudden
@@ -447,3 +448,19 @@ def test_waves_that_come_in_to_damped_cells_are_told_before_a_run(tmp_path, over
     (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
     lines = advice(load(tmp_path / "scene.toml", [override]))
     assert any("waves that come in" in line for line in lines) == warns
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("middle", "warns"), [("71 MPa", False), ("81.6 MPa", True)])
+def test_a_start_past_the_strength_of_a_law_without_slip_length_is_told(tmp_path, middle, warns):
+    """On mirrored squares of 125, 62 and 31 m, damped by 0.45, such a patch slips 1.26, 1.84 and 1.08 m: rely on none."""
+    falls = FAULT[FAULT.index("friction_coefficient") : FAULT.index("[fracture.main.initial_shear")]
+    text = FAULT.replace(falls, "friction_coefficient = 0.6\n").replace('"slip-weakening"', '"hyperbolic-coulomb"')
+    text = text.replace("81.6 MPa", middle).replace('"70 MPa"', '"62 MPa"')
+    values = []
+    for each in (text, FAULT):
+        made = model(tmp_path, each + TRIANGLES)
+        numbers = pre_run_checks(made.stated, made.mesh, made.placed.wells)
+        values += [number for number in numbers if number.name == "start over strength"]
+    assert values[0].value == pytest.approx(float(middle.split()[0]) / 72.0)
+    assert [value.out_of_range for value in values] == [warns, False] and values[1].value is None

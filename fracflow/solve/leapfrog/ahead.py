@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fracflow.mesh.data import Floats
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
-from fracflow.solve.leapfrog.nodes import Nodes
 from fracflow.solve.request import StepRequest
+
+if TYPE_CHECKING:  # a run without explicit steps has no need of them
+    from fracflow.solve.leapfrog.nodes import Nodes
 
 MOST_KEPT = 2.5e5  # numbers of a table: 2 MB
 
