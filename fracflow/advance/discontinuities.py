@@ -143,8 +143,8 @@ def _first_instant(
         problem.trial_status = status
         problem.evaluate()
         # explicit steps damp the mean motion of a step: that force stays, where a stage goes on with them
-        acting = [term.name for term in problem.terms.acting]
-        lasting = {name: force for name, force in begun.forces.of_terms.items() if name not in acting}
+        follows = [term.name for term in ops.terms if term.damping is not None]
+        lasting = {name: force for name, force in begun.forces.of_terms.items() if name not in follows}
         compressible = ops.flow is not None and ops.flow.compressibility > 0.0
         if compressible and dt is not None:
             rate = starting_rate(ops, problem, dt)

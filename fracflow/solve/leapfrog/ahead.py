@@ -129,8 +129,10 @@ def _moved(table: TimeTable, times: Floats, around: list[tuple[slice, Around]]) 
 
 def waves_at(nodes: Nodes, ahead: StepsAhead, first: int, some: int) -> tuple[Floats, dict[str, Floats]]:
     """Forces (k, terms, o) of waves at ``Nodes.own`` at the ends of some steps, and powers (k,) by terms. Collective."""
-    names, powers = list(nodes.dashpots), {}
+    names, powers = list(nodes.dashpots), dict[str, Floats]()
     forces = np.zeros((some if nodes.waves else 0, len(names), len(nodes.own)))
+    if not nodes.waves:
+        return forces, powers
     times, force = ahead.times(first, some), nodes.operators.layout.solid_vector()
     for term in nodes.waves:
         brought, of_term = np.zeros(some), forces[:, names.index(term.name)]

@@ -125,6 +125,7 @@ class StepsInARow:
         self._at_once = max(
             1, round(some if others is None else nodes.operators.layout.comm.allreduce(some, op=MPI.MIN))
         )
+        self._some = self._at_once  # that the next tables are for
 
     def take(self, held: Held, base: Floats, beside: Floats, ahead: StepsAhead) -> Row | None:
         """Some of the steps ahead, the last of all up to an instant; None where the first needs laws. Collective.
@@ -163,7 +164,7 @@ class StepsInARow:
         given.scheme = given.boundaries = given.of_damping = given.energy = given.iterations = given.left = 0.0
         done, load, supports, powers, brought = 0, held.load, held.supports, dict(held.powers), dict[str, float]()
         while done < ahead.left:
-            some = min(self._at_once, ahead.left - done)
+            some = min(self._some, ahead.left - done)
             tables = self._tables(
                 load, supports, loads_at(nodes, beside, ahead, done, some), supports_at(nodes, ahead, done, some)
             )
@@ -175,6 +176,8 @@ class StepsInARow:
                 for now in each[:taken].tolist():
                     brought[name] = brought.get(name, 0.0) + 0.5 * dt * (powers.get(name, 0.0) + now)
                     powers[name] = now
+            # tables of steps that are not taken are lost: after a refusal few at a time, as it may come again
+            self._some = max(1, taken) if taken < some else min(2 * self._some, self._at_once)
             if taken < some:
                 break
         if not done:

@@ -1,0 +1,92 @@
+"""Waves that pass cells damped at faults, in which nothing slides: what is taken, what is told, and stages in two."""
+
+import numpy as np
+import pytest
+
+from fracflow.scene.advice import advice
+from fracflow.scene.scene import load
+
+WAVE = """
+[output]
+pictures = false
+[method]
+stepper = "explicit"
+[geometry]
+domain = [0, 0, 60, 40]
+size = 5
+size_at_fractures = 2
+[[geometry.fracture]]
+name = "main"
+points = [[18, 9], [40, 31]]
+[rock.rock]
+youngs_modulus = 30e9
+poissons_ratio = 0.22
+density = 2600
+[initial_stress]
+xx = -6e6
+yy = -5e6
+[[absorbing]]
+on = "west"
+wave = {kind = "p", velocity = [[0, 0], [4e-3, 0.3], [8e-3, 0]]}
+[[absorbing]]
+on = "east"
+[[support]]
+on = ["south", "north"]
+components = ["y"]
+[fracture.main]
+law = "hyperbolic-coulomb"
+normal_stiffness = 50e9
+shear_stiffness = 20e9
+aperture = 3e-4
+friction_coefficient = 0.9
+[[probe]]
+name = "behind"
+at = [50, 20]
+[[stage]]
+kind = "dynamic"
+time_step = 1e-3
+steps = 20
+"""
+
+
+def test_a_stage_in_two_is_one_stage(run_scene):
+    """The damped force is that of the last step's mean motion: a stage that begins anew from the instant's would kick."""
+    stage = "[[stage]]\nkind = 'dynamic'\ntime_step = 1e-3\nend = 0.02\n"
+    whole, parted = run_scene(WAVE), run_scene(WAVE.replace("steps = 20", "steps = 11") + stage)
+    assert whole.history["energy/damping"][11] > 0.1 * whole.history["energy/damping"][-1]
+    for key in [key for key in whole.history if key.startswith(("energy/", "probe/", "time"))]:
+        of = "energy/kinetic" if key.startswith("energy/") else key
+        wrong = np.abs(parted.history[key] - whole.history[key]).max()
+        assert wrong <= 1e-12 * np.abs(whole.history[of]).max(), key
+
+
+@pytest.mark.serial
+def test_waves_that_damped_cells_take_are_told(run_scene, shared_tmp):
+    """Nothing slides in a wave of some cells. Without the damping there is no line."""
+    damped, _ = run_scene(WAVE), run_scene(WAVE, "method.fault_damping=0")
+    assert not damped.history["energy/friction"].any()
+    logs = [(shared_tmp / name / "log.txt").read_text(encoding="utf-8") for name in ("run1", "run2")]
+    assert "too weak" not in logs[1]
+    shares = [float(line.split(" %")[0].split()[-1]) for line in logs[0].splitlines() if "too weak" in line]
+    taken, *others = (damped.history[f"energy/{name}"] for name in ("damping", "kinetic", "radiated"))
+    all_shares = 100.0 * np.divide(taken, taken + sum(others), out=np.zeros(21), where=taken > 0.0)
+    first = all_shares[np.argmax(all_shares > 3.0)]
+    assert shares == pytest.approx([first, all_shares[np.argmax(all_shares > 2.0 * first)]], rel=0.06)
+    assert damped.history["energy/damping"][-1] > 0.05 * damped.history["energy/work_incident"][-1]
+    assert damped.closes()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "warns"),
+    [
+        ("title=x", True),
+        ("method.fault_damping=0", False),
+        ("method.stepper=newmark", False),
+        ("absorbing.0={on='west'}", False),
+    ],
+)
+def test_waves_that_come_in_to_damped_cells_are_told_before_a_run(tmp_path, override, warns):
+    (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [override]))
+    assert any("waves that come in" in line for line in lines) == warns
