@@ -8,6 +8,7 @@ from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
+from fracflow.solve.leapfrog.in_a_row import StepsInARow
 
 ROCK = """
 [output]
@@ -82,3 +83,17 @@ def run_scene(shared_tmp):
         return Ran(*comm.bcast(found))
 
     return once
+
+
+@pytest.fixture
+def taken(monkeypatch):
+    """How many steps loops are to take in a row, and how many they do, each time."""
+    found, take = [], StepsInARow.take
+
+    def counted(self, held, base, beside, ahead):
+        row = take(self, held, base, beside, ahead)
+        found.append((ahead.left, row.done if row is not None else 0))
+        return row
+
+    monkeypatch.setattr(StepsInARow, "take", counted)
+    return found

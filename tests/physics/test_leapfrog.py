@@ -331,20 +331,6 @@ def longer(scene):
     return file
 
 
-@pytest.fixture
-def taken(monkeypatch):
-    """How many steps loops are to take in a row, and how many they do, each time."""
-    found, take = [], StepsInARow.take
-
-    def counted(self, held, base, beside, ahead):
-        row = take(self, held, base, beside, ahead)
-        found.append((ahead.left, row.done if row is not None else 0))
-        return row
-
-    monkeypatch.setattr(StepsInARow, "take", counted)
-    return found
-
-
 def stop(step):
     if step.state.time > 0.05:
         raise KeyboardInterrupt

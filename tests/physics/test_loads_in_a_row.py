@@ -10,7 +10,7 @@ from fracflow.simulation.run import resume, run
 from fracflow.solve.leapfrog import in_a_row, steps
 from fracflow.solve.leapfrog.compiled import library
 
-from .test_leapfrog import assert_alike, taken  # noqa: F401
+from .test_leapfrog import assert_alike
 
 RAMP = {"time": [0, 0.041, 0.0823], "value": [0, 1e-6, -2e-6]}
 LAW = {
@@ -61,7 +61,7 @@ def stop(step):
 
 
 @pytest.mark.skipif(library() is None, reason="loops are not compiled here")
-def test_loads_and_supports_in_a_row(shared_tmp, comm, taken, monkeypatch):  # noqa: F811
+def test_loads_and_supports_in_a_row(shared_tmp, comm, taken, monkeypatch):
     """Each rank has loads or supports at ends of joints of another; tables are in pieces, and runs go on to the bit."""
     scene = Scene.from_data(SCENE, shared_tmp / "scene.toml")
     monkeypatch.setattr(in_a_row, "MOST_KEPT", 120)
