@@ -101,8 +101,9 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
     sheared, normal = initial_tractions(scene, mesh)
     drop, distance, *states = _of_laws(scene, mesh, ends, sheared, normal)
     laws = tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures)
-    has_strength = np.array([bool(law.status) and law.slides for law in laws], dtype=bool)[mesh.joint_fracture]
+    slides = np.array([bool(law.status) and law.slides for law in laws], dtype=bool)[mesh.joint_fracture]
     strength = np.nan_to_num(ends("cohesion")) + np.maximum(-normal, 0.0) * ends("friction")
+    has_strength = slides[:, None] & (strength > 0.0)
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
@@ -112,7 +113,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
         direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
         front_length=states[5],
-        laws=laws, used=np.where(has_strength[:, None] & (strength > 0.0), np.abs(sheared) / strength, np.nan),
+        laws=laws, used=np.where(has_strength, np.abs(sheared) / np.where(has_strength, strength, 1.0), np.nan),
         modulus=2.0 * _in_series(beside["modulus"]), mode_2_modulus=2.0 * _in_series(beside["mode_2_modulus"]),
         layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
         shear_speed=beside["shear_speed"], softer=_of_slower(beside["shear_speed"], beside["shear"]),
