@@ -28,10 +28,10 @@ KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step 
 def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
     """A new state, as a stage takes it over. Collective.
 
-    With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-    Pressures of a compressible fluid stay as they are, and the balance gives its rate of uptake. Prescribed pressures jump.
-    They then follow their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is
-    prescribed arrives during the first step.
+    With inertia prescribed pressures hold from the first instant: they jump, and (4.1e) gives others and accelerations. They
+    then follow their mean rate in the first step, of length ``dt``. Pressures of a compressible fluid stay as they are, and the
+    balance gives its rate of uptake. Supports that are elsewhere come to their places during the first step. Without inertia,
+    motion is dropped and what is prescribed arrives during the first step.
 
     Walls without a fluid go on at their mean velocity over the last step. That at its end, by a multistep rule, goes back
     in the step after a jump of a load, and no error has shortened such steps.
@@ -47,7 +47,8 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
         mean.copy(motion.velocity)
     energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
     for moved in model.loads.supports if dt > 0.0 else ():
-        motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
+        now = motion.displacement.getArray(readonly=True)[moved.numbers]
+        motion.velocity.getArray()[moved.numbers] = moved.first_speed(state.time, dt, now)
     energy = pushed(energy, kinetic_energy(ops, motion.velocity))
     was, around = state.sections, (0.0, dt)
     begun = replace(state, motion=motion, uptake=None, energy=energy, adjacent_steps=around)

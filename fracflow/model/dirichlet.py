@@ -48,6 +48,10 @@ class PrescribedValues:
         before, after = 0.5 * around[0], 0.5 * around[1]
         return (self.value(time + after) - self.value(time - before)) / (before + after)
 
+    def first_speed(self, time: float, dt: float, now: Floats) -> Floats:
+        """That (n,) over the first half of a stage's first step, from where they are ``now``: a jump there is part of it."""
+        return (self.value(time + 0.5 * dt) - now) / (0.5 * dt)
+
     def acceleration(self, time: float, around: Around) -> float | Floats:
         """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
         before, after = around

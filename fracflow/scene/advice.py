@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -40,6 +40,7 @@ def advice(scene: Scene) -> list[str]:
         *_too_long(scene),
         *_let_go(scene),
         *_bouncing(scene),
+        *_displaced(scene),
         *_reflecting(scene),
         *_ringing(scene),
         *_passing(scene),
@@ -236,9 +237,9 @@ def _passing(scene: Scene) -> Iterator[str]:
     """Waves that come in, and cross cells that are damped for the sake of ruptures."""
     names = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].slides]
     if names and scene.has_dynamics and _is_damped(scene) and any(side.wave is not None for side in scene.absorbing):
-        yield (
-            f"fracture.{names[0]}: waves that come in lose energy in the damped cells beside it, a quarter and more where few"
-            " cells span a wave: give method.fault_damping = 0 where little slides"
+        yield note(
+            f"fracture.{names[0]}: from the first slip on, waves that come in lose energy in the damped cells beside it, a"
+            " quarter and more where few cells span a wave: give method.fault_damping = 0 where little slides"
         )
 
 
@@ -296,6 +297,22 @@ def _bouncing(scene: Scene) -> Iterator[str]:
                 f"{at}.pressure jumps by {jump:.4g}{unit} in the first instant of a dynamic stage:"
                 " walls bounce on their joints, whose normal traction swings by as much from step to step, long after: let it"
                 " rise from the pressure at the start over some steps"
+            )
+
+
+def _displaced(scene: Scene) -> Iterator[str]:
+    """Supports of a dynamic first stage that begin elsewhere than the rock."""
+    given = scene.initial
+    moves = () if given is None else (given, *given.rock.values())
+    if scene.stage[0].kind != "dynamic" or any(each.displacement or each.displacement_gradient for each in moves):
+        return
+    for number, support in enumerate(scene.support):
+        tables = [*(support.displacement or {}).values(), *chain(*(support.displacement_gradient or ()))]
+        if any(table(0.0, JUST_AFTER) for table in tables):
+            yield (
+                f"support.{number} ({', '.join(support.on)}) is displaced from the start: a dynamic stage moves it there within"
+                " the first step, which sends off a wave as short as its cells: let it rise from 0 over some steps, or begin"
+                " with a quasi-static stage"
             )
 
 

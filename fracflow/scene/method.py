@@ -121,7 +121,8 @@ class Method(StepperKeys):
     """damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in explicit
     steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a prescribed
     pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is none, and the
-    default of model = "report"; counted as damping in the energy balance [1]"""
+    default of model = "report"; it begins with the first section that slides or opens; counted as damping in the energy
+    balance [1]"""
     radiation_damping: Literal["auto", "none"] = "auto"
     """energy that slip sends off as waves in stages without inertia: auto takes the traction G/(2 c_s) times the rate of slip
     from what friction carries, on fractures of law = "rate-and-state", G and c_s of the rocks beside; where inertia comes in

@@ -110,7 +110,7 @@ class StepProblem:
         for vector, parts, lags, rests in (
             (
                 displacement,
-                loads.supports,
+                () if self.rule.is_instant else loads.supports,
                 self.lag.displacement,
                 loads.resting if loads.at_rest else loads.resting[:0],
             ),

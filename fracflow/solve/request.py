@@ -148,6 +148,11 @@ class StepRule:
     rates: Rates | None = None
     inertia: bool = False
 
+    @property
+    def is_instant(self) -> bool:
+        """Whether only pressures and accelerations are sought: nothing moves."""
+        return self.inertia and self.alphas.a0 == 0.0
+
     def demanded(self, request: StepRequest, well: str) -> float:
         """Flow rate that a well demands in a step, over the whole depth [volume rate]."""
         return request.loads.demanded(well, request.time, request.controls, self.adjacent, self.rates)

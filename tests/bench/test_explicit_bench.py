@@ -36,9 +36,9 @@ def test_cost_of_a_section(tmp_path):
     assert (
         row["sections"][1] == 2 * row["sections"][0] > 0 < row["ns_of_unknown"]["sweep"] < row["ns_of_unknown"]["step"]
     )
-    (by_sweep,), (by_step,), (nanoseconds,) = *row["section_in_unknowns"].values(), row["ns_of_section"]
-    assert abs(by_sweep * row["ns_of_unknown"]["sweep"] - nanoseconds) < 0.02 * abs(nanoseconds) + 1.0
-    assert abs(by_step * row["ns_of_unknown"]["step"] - nanoseconds) < 0.02 * abs(nanoseconds) + 10.0
+    (nanoseconds,) = row["ns_of_section"]
+    for (count,), each in zip(row["section_in_unknowns"].values(), row["ns_of_unknown"].values(), strict=True):
+        assert abs(count * each - nanoseconds) < 0.06 * each + 1e-3 * abs(nanoseconds) + 0.1  # counts have one decimal
 
 
 def test_local_steps_of_powers_of_two():

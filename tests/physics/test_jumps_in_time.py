@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from fracflow.scene.advice import advice
+from fracflow.scene.scene import load
 from fracflow.scene.values import TimeTable
 
 from .test_along_fractures import ENDS, RIGID
@@ -92,6 +94,32 @@ def test_a_support_moved_by_jerks_drives_at_its_own_velocity(run_scene, mass):
     assert speed[kink] == pytest.approx(0.0, abs=1e-9)
     assert speed[kink + 1 :] == pytest.approx(-1.0, rel=1e-9)
     assert found.closes()
+
+
+@pytest.mark.parametrize("stepper", ["newmark", "explicit"])
+@pytest.mark.parametrize("start", ["{x = 1e-3}", "{x = [[0, 0], [0, 1e-3], [1, 1e-3]]}"], ids=["displaced", "jumps"])
+def test_a_support_that_begins_displaced_moves_there_in_the_first_step(run_scene, start, stepper):
+    """Its work is that of the motion: 1 to 6 % of the energy was lost where the first instant put it there."""
+    moved = f'support.1={{on = "west", displacement = {start}}}'
+    found = run_scene(BAR, moved, f"method.stepper={stepper}", "method.mass=lumped")
+    at = found.probe("moved", "displacement")[:, 0]
+    assert at[0] == 0.0 and at[1:] == pytest.approx(1e-3, rel=1e-12)
+    assert found.closes(1e-12) and found.history["energy/work_boundaries"][-1] > 0.0
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "warns"),
+    [
+        ("support.1={on = 'west', displacement = {x = 1e-3}}", True),
+        ("support.1={on = 'west', displacement_gradient = [[0, 0], [[[0, 1e-4], [1, 0]], 0]]}", True),
+        ("title=x", False),
+    ],
+)
+def test_a_support_that_begins_displaced_is_told(tmp_path, override, warns):
+    (tmp_path / "scene.toml").write_text(BAR, encoding="utf-8")
+    told = any("displaced from the start" in line for line in advice(load(tmp_path / "scene.toml", [override])))
+    assert told == warns
 
 
 def test_a_plate_that_squeezes_a_film_drives_it_evenly(run_scene):

@@ -66,7 +66,8 @@ def test_loads_and_supports_in_a_row(shared_tmp, comm, taken, monkeypatch):
     scene = Scene.from_data(SCENE, shared_tmp / "scene.toml")
     monkeypatch.setattr(in_a_row, "MOST_KEPT", 120)
     run(scene, shared_tmp / "rows", comm)
-    assert taken and all(count == done > 2 for count, done in taken)
+    left = [count - done for count, done in taken]  # but the one in which damping begins, with the first slip
+    assert sum(left) == max(left) == 1 and all(done > 2 for _, done in taken)
     with pytest.raises(KeyboardInterrupt):
         run(Scene.from_data(SCENE | {"output": {"pictures": False, "checkpoint_every": 1}}, shared_tmp / "scene.toml"),
             shared_tmp / "parts", comm, progress=stop)  # fmt: skip

@@ -26,6 +26,8 @@ Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin
             what is of the order of the square of their size. A node let go by itself vibrates at 0.58 omega_e and takes more,
             ``SUDDEN``: none sticks again behind a front of 0.6 c_s then. On squares of 0.25, slip behind it is 4.7 % off for
             0.25, 1.4 % for 0.45; behind one of 0.3 c_s 12.8 and 4.9 % (``tests/reference/test_self_similar_crack.py``).
+Onset       With the first section that slides or opens: nothing rectifies before, and waves that pass fractures that stick lose
+            nothing. It is one for all fractures.
 Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven places) at cells of 200, 100, 50 m that grow by
             0.3 of the distance from the fault: order 1. For a growth of 0.1: 1.75, 0.71, 0.27 and, at 25 m, 0.10 %, order 1.3
             to 1.4. Meshes are refined evenly only where growth falls with the cells: from 0.3 at 200 m on 1.8, 0.79, 0.27,
@@ -122,7 +124,7 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
-    words = f"cells at faults are damped, method.fault_damping = {largest:g}"
+    words = f"cells at faults are damped from the first slip on, method.fault_damping = {largest:g}"
     doubt = few_cells(blocks, damped & (largest >= AUTO))
     return MeanDamping(projected(matrix, operators.expand), scale, largest, words, doubt)
 

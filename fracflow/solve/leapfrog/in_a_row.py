@@ -33,7 +33,7 @@ _MOTION, _JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(
 OF_A_ROW = {
     "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
     "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "boundaries", "of_damping", "energy", "left",
-    "iterations", "row", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
+    "iterations", "row", "waits", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
 }  # fmt: skip
 """Members of ``steps`` that each row sets anew."""
 COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
@@ -47,6 +47,7 @@ class Held(NamedTuple):
     resisting     (o,) forces of dashpots at ``Nodes.own``, by terms, and ``damped`` (n,) of what damps [force per thickness]
     load          (m,) at ``Nodes.changing``, and ``support`` (h,) forces of supports [force per thickness]
     supports      how these move;  ``powers`` of waves, by terms [energy/time per thickness]
+    waits         whether damping waits for the first section that slides: the loops leave that step to others
     """
 
     sections: Sections
@@ -58,6 +59,7 @@ class Held(NamedTuple):
     support: Floats
     supports: SupportsAt
     powers: Mapping[str, float]
+    waits: bool
 
 
 class Row(NamedTuple):
@@ -137,7 +139,7 @@ class StepsInARow:
         given.most_pressed = self._most_pressed(held.sections)
         if self._is_refused(given.most_pressed):
             return None
-        given.dt, given.share = dt, joint_share(dt)
+        given.dt, given.share, given.waits = dt, joint_share(dt), held.waits
         inverse = nodes.inverse_with_dashpots(dt).blocks[0]
         (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
         after = Answers(np.empty_like(before.values), np.empty_like(before.statuses))
@@ -191,7 +193,9 @@ class StepsInARow:
         taken_by = dict(zip(resisting, of_terms.tolist(), strict=True))
         for name in damped:
             taken_by[name] = taken_by.get(name, 0.0) + given.of_damping
-        new = Held(sections, friction, last["accelerations"], resisting, damped, load, support, supports, powers)
+        new = Held(
+            sections, friction, last["accelerations"], resisting, damped, load, support, supports, powers, held.waits
+        )
         sums = given.energy, given.scheme, given.boundaries, taken_by, brought, joints
         return Row(done, new, *sums, round(given.iterations), given.left)
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy, sum_over_ranks
+from fracflow._petsc import MPI, PETSc, destroy, sum_over_ranks
 from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, scheme_energy, scheme_work
 from fracflow.laws import LawStep
@@ -112,6 +112,7 @@ class Run:
         """No state yet."""
         self.nodes, self.rock, self.passes = nodes, nodes.rock, joint_nodes(nodes)
         self.last: State | None = None
+        self.waits = bool(nodes.damping)
         self.constant = np.zeros(self.rock.e.shape)
         self.loaded = np.zeros(0, dtype=np.int64)
         self.sums: RockSums | None = None
@@ -128,6 +129,7 @@ class Run:
                 rock.begin(vector, values)
             rock.step(0.0, 0.0)
             self.sums = self._rock_sums(rock.sums(nodes.prestress))
+            self.waits = bool(nodes.damping) and not self._has_slid(state.sections)
         self.old_sums = self.sums
         self.sections, self.friction = state.sections, state.friction
         self.total = state.sections.traction
@@ -221,20 +223,25 @@ class Run:
         of_own = self.nodes.held_of_own
         supports = SupportsAt(self.held_at, self.own_speed[of_own], self.own_a[of_own])
         ended = self.sections, self.friction, self.a, self.resisting, self.damped
-        return Held(*ended, self.load, self.support, supports, self.powers)
+        return Held(*ended, self.load, self.support, supports, self.powers, self.waits)
 
     def go_on(self, row: Row) -> None:
         """Take over steps in a row."""
-        balance, of_own = self.balance, self.nodes.held_of_own
-        self.sections, self.friction, self.a, resisting, damped, self.load, self.support, supports, powers = row.held
-        self.own_speed, self.own_a, self.held_at = self.own_speed.copy(), self.own_a.copy(), supports.at
-        self.own_speed[of_own], self.own_a[of_own] = supports.speed, supports.acceleration
-        self.resisting, self.damped, self.total = dict(resisting), dict(damped), self.sections.traction
+        balance, of_own, new = self.balance, self.nodes.held_of_own, row.held
+        self.sections, self.friction, self.total, self.a = (
+            new.sections,
+            new.friction,
+            new.sections.traction,
+            new.acceleration,
+        )
+        self.load, self.support, self.held_at, self.waits = new.load, new.support, new.supports.at, new.waits
+        self.own_speed, self.own_a = self.own_speed.copy(), self.own_a.copy()
+        self.own_speed[of_own], self.own_a[of_own] = new.supports.speed, new.supports.acceleration
+        self.resisting, self.damped, self.powers = dict(new.resisting), dict(new.damped), dict(new.powers)
         self.rock.energy = row.energy
         balance.scheme += row.scheme
         balance.boundaries += row.boundaries
         balance.joints += row.joints
-        self.powers = dict(powers)
         for name, work in row.taken.items():
             self._take(name, work)
         for name, work in row.brought.items():
@@ -297,8 +304,18 @@ class Run:
             self._take(name, 0.5 * float((self.resisting[name] + each) @ moved[nodes.at_own]))
         self.resisting = resisting
 
+    def _has_slid(self, sections: Sections) -> bool:
+        """Whether any section of all ranks has slid, or opened. Collective."""
+        return bool(self.nodes.operators.layout.comm.allreduce(bool(sections.inelastic.any()), op=MPI.LOR))
+
     def _damp(self, force: Floats) -> None:
-        """Take what damps the mean velocity of the step off forces (m,), and add its work. Collective."""
+        """Take what damps the mean velocity of the step off forces (m,), and add its work. Collective.
+
+        Nothing before the first section slides, that of this step included.
+        """
+        self.waits = self.waits and not self._has_slid(self.sections)
+        if self.waits:
+            return
         for name, each in self.nodes.damping.items():
             at = self.nodes.at_damped[name]
             here = force[at]
