@@ -199,7 +199,7 @@ class EventLog:
             part for running in self._running.values() for part in (running.row, running.slip_before, running.peak_rate)
         ]
         nodes = np.column_stack([self._plastic_slip, *of_kinds]).astype(float)
-        return {"rows": self._rows.table(), "nodes": nodes, "whole": list(self._rows.whole.items())}
+        return {"rows": self._measured().table(), "nodes": nodes, "whole": list(self._rows.whole.items())}
 
     def remember(self, memory: Mapping[str, Any]) -> None:
         """Go on from what ``memory`` gave, or its rows as lists of mappings, as earlier versions kept them."""
@@ -247,20 +247,26 @@ class EventLog:
             there = rows["place"][here]
             running.row[there], running.slip_before[there] = first + here, self._plastic_slip[there]
 
+    def _measured(self) -> _Rows:
+        """The rows, with the latest slip of events under way."""
+        for running in self._running.values():
+            self._measure(running, np.flatnonzero(running.row >= 0), self._plastic_slip)
+        return self._rows
+
     def _measure(self, running: _Running, places: NDArray[np.int64], plastic_slip: Floats) -> None:
         rows = running.row[places]
         self._rows.columns["slip"][rows] = plastic_slip[places] - running.slip_before[places]
         self._rows.columns["peak_slip_rate"][rows] = running.peak_rate[places]
 
     def rows(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> Iterator[dict[str, Any]]:
-        """The rows as mappings, one by one, and behind them those of ``unfinished`` events."""
+        """The rows with the latest slip as mappings, one by one, and behind them those of ``unfinished`` events."""
         heads = columns_of(self._shape[1])
         for row in self._values(unfinished):
             yield dict(zip(heads, row, strict=True))
 
     def _values(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> Iterator[list[Any]]:
         """The values of each row in the order of the columns of the file."""
-        nodes, rows, none = self.nodes, self._rows, [None] * len(OF_EVENTS)
+        nodes, rows, none = self.nodes, self._measured(), [None] * len(OF_EVENTS)
         for first in range(0, len(rows), _ROWS_AT_ONCE):
             part = rows.columns[first : first + _ROWS_AT_ONCE]
             place = part["place"]
@@ -287,8 +293,6 @@ class EventLog:
 
     def _write(self, unfinished: Sequence[Mapping[str, Any]] = ()) -> None:
         began = time_of_process()
-        for running in self._running.values():
-            self._measure(running, np.flatnonzero(running.row >= 0), self._plastic_slip)
         with replacing(self.path) as part, fresh(part).open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(columns_of(self._shape[1]))

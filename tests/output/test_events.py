@@ -24,6 +24,9 @@ def test_an_event_is_a_node_from_first_to_last_sliding_section(tmp_path):
     assert not log.update(1.0, NO, NO, np.array([0.5, 0.0, 0.0]), np.zeros(3))
     assert log.update(2.0, flags(0, 1), NO, np.array([0.4, 0.1, 0.0]), np.array([-3.0, 1.0, 0.0]))
     assert not log.update(3.0, flags(0, 1), NO, np.array([0.2, 0.2, 0.0]), np.array([-1.0, 2.0, 0.0]))
+    latest, kept = [(row["slip"], row["peak_slip_rate"]) for row in log.rows()], log.memory()["rows"]
+    assert latest == [(0.2, 2.0), (pytest.approx(-0.3), 3.0)]  # under way, and not in the file yet
+    np.testing.assert_array_equal(kept[:, -2:], [[2.0, 0.2], [3.0, 0.2 - 0.5]])
     first, second = read_events(log.path)  # as known when the events started
     assert (first["node"], second["node"]) == (3, 7)
     assert (first["end"], first["slip"], first["probe"]) == (None, 0.1, "mid")
