@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from fracflow.model.steep_weakening import refuse_jumps
 from fracflow.remarks import marked, note
 from fracflow.scene.time_table import Around
 from fracflow.solve.leapfrog.ahead import StepsAhead
-from fracflow.solve.request import StepRequest, on_the_way
+from fracflow.solve.request import StepRequest
 from fracflow.solve.residual import refuse_few, significant_digits
 
 if TYPE_CHECKING:
@@ -126,19 +126,17 @@ class ExplicitSubsteps:
         if flow is not None:
             flow.begin(state)
         try:
-            done = 0
-            while done < count:
-                row = explicit.leapfrog.in_a_row(StepsAhead(request, state.controls, count, then, done))
+            steps = StepsAhead(request, state.controls, count, then)
+            while steps.left:
+                row = explicit.leapfrog.in_a_row(steps)
                 if row is not None:
                     solved = row.done if explicit.model.operators.blocks.sizes.joints else 0
                     reports.append(StepReport(row.iterations, cycles=1, solid_residual=row.left, solved=solved))
-                    done += row.done
-                if done < count:
-                    done += 1
-                    part = substep(request, state.controls, count, then, done)
-                    around = dt / count, dt / count if done < count else then
-                    reports.append(self._part(part, around, done == count))
-            around = dt / count, then
+                    steps = steps.after(row.done)
+                if steps.left:
+                    reports.append(self._part(*steps.next_one, steps.left == 1))
+                    steps = steps.after(1)
+            around = steps.dt, then
             new = run.end(state if flow is None else flow.now, request, around, {} if flow is None else flow.parts)
             return Outcome(new, replace(of_substeps(reports), digits=self._digits(new)), request.end)
         finally:
@@ -179,21 +177,6 @@ class ExplicitSubsteps:
             self.explicit.leapfrog.run.last = None
             new.destroy()
             raise
-
-
-def substep(request: StepRequest, controls: Mapping[str, float], count: int, then: float, done: int) -> StepRequest:
-    """The one after which ``done`` of equal substeps of a step are done.
-
-    The step begins with ``controls``, and one of length ``then`` follows.
-    """
-    dt = request.length
-    return replace(
-        request,
-        time=request.time - dt * (count - done) / count,
-        length=dt / count,
-        controls=on_the_way(controls, request.controls, 0.0, done / count),
-        next_length=dt / count if done < count else then,
-    )
 
 
 def of_substeps(reports: Sequence[StepReport]) -> StepReport:

@@ -45,8 +45,7 @@ class PrescribedValues:
 
     def speed(self, time: float, around: Around) -> float | Floats:
         """Mean velocity (n,) over the halves of the steps ``around`` a time; does not ring at jumps, as Newmark's would."""
-        before, after = 0.5 * around[0], 0.5 * around[1]
-        return (self.value(time + after) - self.value(time - before)) / (before + after)
+        return mean_speed(self.value, time, around)
 
     def first_speed(self, time: float, dt: float, now: Floats) -> Floats:
         """That (n,) over the first half of a stage's first step, from where they are ``now``: a jump there is part of it."""
@@ -54,12 +53,23 @@ class PrescribedValues:
 
     def acceleration(self, time: float, around: Around) -> float | Floats:
         """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
-        before, after = around
-        if before == 0.0 or after == 0.0:
-            return 0.0
-        here = self.value(time)
-        change = (self.value(time + after) - here) / after - (here - self.value(time - before)) / before
-        return 2.0 * change / (before + after)
+        return change_of_speed(self.value, time, around)
+
+
+def mean_speed(value: Values, time: float | Floats, around: Around) -> float | Floats:
+    """``PrescribedValues.speed`` of a function of time, or of many times (k,) at once."""
+    before, after = 0.5 * around[0], 0.5 * around[1]
+    return (value(time + after) - value(time - before)) / (before + after)
+
+
+def change_of_speed(value: Values, time: float | Floats, around: Around) -> float | Floats:
+    """``PrescribedValues.acceleration`` of a function of time, or of many times (k,) at once."""
+    before, after = around
+    if before == 0.0 or after == 0.0:
+        return 0.0
+    here = value(time)
+    change = (value(time + after) - here) / after - (here - value(time - before)) / before
+    return 2.0 * change / (before + after)
 
 
 def supported(

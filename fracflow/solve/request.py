@@ -11,8 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas, Stepper
+from fracflow.mesh.data import Floats
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import PreviousStep, State
 from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
@@ -177,7 +180,12 @@ def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: f
     if end == 1.0:
         return dict(after)
     share = (end - start) / (1.0 - start)
-    return {name: value + share * (after[name] - value) for name, value in before.items()}
+    return {name: float(between(value, after[name], share)) for name, value in before.items()}
+
+
+def between(before: float, after: float, share: float | Floats) -> float | Floats:
+    """What a value is once shares (k,) of its change are made: exactly ``after`` once all is."""
+    return np.where(share == 1.0, after, before + share * (after - before))
 
 
 def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from fracflow.advance.explicit import substep
 from fracflow.advance.outcome import Outcome
 from fracflow.advance.stage import SplitAtJumps
 from fracflow.model.state import StepReport
+from fracflow.solve.leapfrog.ahead import StepsAhead
 from fracflow.solve.request import LoadStep
 
 pytestmark = pytest.mark.serial
@@ -64,7 +64,15 @@ def test_a_part_ends_at_a_jump_and_is_followed_by_none():
 
 
 def test_explicit_substeps_are_equal_and_know_what_follows_them():
-    asked = [substep(HALF.part({"p": 1.0}, 0.0, 1.0), {"p": 1.0}, 4, 0.0, done) for done in range(1, 5)]
+    steps = StepsAhead(HALF.part({"p": 1.0}, 0.0, 1.0), {"p": 1.0}, 4, 0.0)
+    asked = [steps.after(done).next_one[0] for done in range(4)]
     assert [each.time for each in asked] == [14.25, 14.5, 14.75, 15.0] and {each.length for each in asked} == {0.25}
     assert [each.controls["p"] for each in asked] == [1.5, 2.0, 2.5, 3.0]
     assert [each.next_length for each in asked] == [0.25, 0.25, 0.25, 0.0]
+    later = steps.after(1)
+    assert (later.left, later.times(0, 3).tolist(), later.control("p", 0, 3).tolist()) == (
+        3,
+        [14.5, 14.75, 15.0],
+        [2.0, 2.5, 3.0],
+    )
+    assert later.around(0, 3) == [(slice(0, 2), (0.25, 0.25)), (slice(2, 3), (0.25, 0.0))]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fracflow.mesh.data import Floats
+from fracflow.model.dirichlet import change_of_speed, mean_speed
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
-from fracflow.solve.request import StepRequest
+from fracflow.solve.request import StepRequest, between, on_the_way
 
 if TYPE_CHECKING:  # a run without explicit steps has no need of them
     from fracflow.solve.leapfrog.nodes import Nodes
@@ -22,7 +23,7 @@ MOST_KEPT = 2.5e5  # numbers of a table: 2 MB
 class StepsAhead:
     """Equal steps up to the end of a request, ``count`` in all, of which some are done.
 
-    controls  load factors where the request begins
+    controls  load factors where the request begins; they change linearly over it
     then      length of the step that follows the request; 0 where the stage ends [time]
     """
 
@@ -44,23 +45,39 @@ class StepsAhead:
 
     def times(self, first: int, some: int) -> Floats:
         """Ends (k,) of some of those to be taken, from number ``first`` on."""
-        number = self.done + first + 1 + np.arange(some)
-        return self.request.time - self.request.length * (self.count - number) / self.count
+        return np.asarray(self._end(self._numbers(first, some)))
 
     def control(self, name: str, first: int, some: int) -> Floats:
-        """Load factor (k,) at these ends, as ``request.on_the_way`` has it."""
-        number, before, after = (
-            self.done + first + 1 + np.arange(some),
-            self.controls[name],
-            self.request.controls[name],
-        )
-        return np.where(number == self.count, after, before + number / self.count * (after - before))
+        """Load factor (k,) at these ends."""
+        share = self._numbers(first, some) / self.count
+        return np.asarray(between(self.controls[name], self.request.controls[name], share))
+
+    def _numbers(self, first: int, some: int) -> Floats:
+        return self.done + first + 1.0 + np.arange(some)
+
+    def _end(self, number: float | Floats) -> float | Floats:
+        return self.request.time - self.request.length * (self.count - number) / self.count
+
+    def _around(self, is_last: bool) -> Around:
+        return self.dt, self.then if is_last else self.dt
 
     def around(self, first: int, some: int) -> list[tuple[slice, Around]]:
         """Lengths of steps around these ends: the last one of all has another one behind it."""
         is_end = first + some == self.left
-        found = [(slice(0, some - is_end), (self.dt, self.dt))]
-        return [*found, (slice(some - 1, some), (self.dt, self.then))] if is_end else found
+        found = [(slice(0, some - is_end), self._around(is_last=False))]
+        return [*found, (slice(some - 1, some), self._around(is_last=True))] if is_end else found
+
+    @property
+    def next_one(self) -> tuple[StepRequest, Around]:
+        """The first of those to be taken, and lengths of the steps around its end."""
+        number, around = self.done + 1, self._around(self.left == 1)
+        controls = on_the_way(self.controls, self.request.controls, 0.0, number / self.count)
+        time, (length, following) = float(self._end(number)), around
+        return replace(self.request, time=time, length=length, controls=controls, next_length=following), around
+
+    def after(self, taken: int) -> StepsAhead:
+        """Those ahead once some are taken."""
+        return replace(self, done=self.done + taken)
 
 
 class SupportsAt(NamedTuple):
@@ -99,31 +116,20 @@ def supports_at(nodes: Nodes, ahead: StepsAhead, first: int, some: int) -> Suppo
     found = SupportsAt(*(np.zeros((some, len(nodes.held))) for _ in range(3)))
     if not len(nodes.held):
         return found
-    times, begin = ahead.times(first, some), 0
+    times, sides, begin = ahead.times(first, some), ahead.around(first, some), 0
     for part in nodes.loads.supports:
         columns = slice(begin, begin := begin + len(part.numbers))
         for table, weight in part.tables or ():
-            if len(part.numbers) and any(table.values):
-                for values, column in zip(found, _moved(table, times, ahead.around(first, some)), strict=True):
-                    values[:, columns] += column[:, None] * weight
-    return found
+            if not len(part.numbers) or not any(table.values):
+                continue
 
+            def at(time: float | Floats, table: TimeTable = table) -> Floats:
+                return table.around(time, *AT_ONCE)
 
-def _moved(table: TimeTable, times: Floats, around: list[tuple[slice, Around]]) -> list[Floats]:
-    """Value, mean velocity and acceleration (k,) at times (k,), as ``model.dirichlet.PrescribedValues`` has them."""
-    value, speed, acceleration = found = [np.zeros(len(times)) for _ in range(3)]
-    value[:] = table.around(times, *AT_ONCE)
-    if len(table.times) == 1:
-        return found
-
-    def at(shift: float) -> Floats:
-        return table.around(times[rows] + shift, *AT_ONCE)
-
-    for rows, (before, after) in around:
-        speed[rows] = (at(0.5 * after) - at(-0.5 * before)) / (0.5 * before + 0.5 * after)
-        if after > 0.0:
-            change = (at(after) - value[rows]) / after - (value[rows] - at(-before)) / before
-            acceleration[rows] = 2.0 * change / (before + after)
+            for rows, around in sides:
+                motion = at(times[rows]), mean_speed(at, times[rows], around), change_of_speed(at, times[rows], around)
+                for values, each in zip(found, motion, strict=True):
+                    values[rows, columns] += np.reshape(each, (-1, 1)) * weight
     return found
 
 
