@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from fracflow.laws.base import Bools, Floats, History, JointLaw, JointResponse, LawStep, per_section
 
-VERSION = 1  # of the function's arguments, as in friction.c
+VERSION = 2  # of the function's arguments, as in friction.c
 _INT, _ARRAY = ctypes.c_int32, ctypes.c_void_p
 PARAMETERS = {
     "normal_stiffness": 1.0, "shear_stiffness": 1.0, "aperture": 1.0, "initial_normal_traction": 0.0,
@@ -66,8 +67,19 @@ def table(law: JointLaw, weights: Floats) -> Floats:
     return rows
 
 
+@cache
+def parts_of_answer() -> dict[str, slice]:
+    """Columns of the parts of an answer, one part after the other, as ``response.h`` has them."""
+    compiled = library()
+    assert compiled is not None
+    text = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(compiled, "fracflow_answer"))).decode()
+    names, counts = zip(*(part.split() for part in text.split(";")[:-1]), strict=True)
+    ends = list(accumulate(map(int, counts)))
+    return {name: slice(end - int(count), end) for name, count, end in zip(names, counts, ends, strict=True)}
+
+
 class Answers(NamedTuple):
-    """Values (15 n,) and statuses (2, n) of sections, in the order of ``response.h``."""
+    """Values (15 n,) and statuses (2, n) of sections: each part of ``parts_of_answer`` is of all sections, (n, k)."""
 
     values: Floats
     statuses: Bools
@@ -85,6 +97,7 @@ class CompiledFriction:
         assert compiled is not None
         self._loop = compiled.fracflow_friction
         self._of_laws = self._rows.ctypes.data
+        self._columns = max(each.stop for each in parts_of_answer().values())
 
     def evaluate(self, strain: Floats, history: History, step: LawStep) -> JointResponse:
         """The law's own response to strains (n, 2) after ``history``. Raises ValueError for others than its n sections."""
@@ -104,36 +117,44 @@ class CompiledFriction:
     def empty(self) -> Answers:
         """Arrays that a loop fills with the answers of all sections."""
         n = len(self._rows)
-        return Answers(np.empty(15 * n), np.empty((2, n), dtype=bool))
+        return Answers(np.empty(self._columns * n), np.empty((2, n), dtype=bool))
 
     def answers(
         self, traction: Floats, tangent: Floats, inelastic: Floats, stored: Floats, history: History
     ) -> Answers:
         """Those of a response (n, ...) from which a loop goes on: without strengths, margins and statuses."""
-        n, found = len(self._rows), self.empty()
-        starts = (0, traction), (2 * n, tangent), (6 * n, inelastic), (8 * n, stored)
-        for first, each in (*starts, *((12 * n + n * k, each) for k, each in enumerate(self.past(history)))):
-            found.values[first : first + each.size] = each.ravel()
+        found = self.empty()
+        known = {"traction": traction, "tangent": tangent, "inelastic": inelastic, "stored": stored}
+        parts = in_parts(found.values, len(self._rows))
+        for name, each in (known | dict(zip(self._names, self.past(history), strict=True))).items():
+            parts[name][:] = each.reshape(parts[name].shape)
         return found
 
     def response(self, answers: Answers) -> JointResponse:
         """The response (n, ...) that a loop has put there."""
-        n, (found, statuses) = len(self._rows), answers
-        new = {"plastic_slip": found[12 * n : 13 * n, None], "sliding": found[13 * n : 14 * n, None]}
+        n, statuses = len(self._rows), answers.statuses
+        parts = in_parts(answers.values, n)
+        new = {name: parts[name] for name in ("plastic_slip", "sliding")}
         if self.has_path:
-            new["slip_path"] = found[14 * n :]
+            new["slip_path"] = parts["slip_path"][:, 0]
+        scalars = {name: parts[name][:, 0] for name in ("stored", "strength", "utilisation", "margin")}
         return JointResponse(
-            traction=found[: 2 * n].reshape(n, 2),
-            tangent=found[2 * n : 6 * n].reshape(n, 2, 2),
-            inelastic=found[6 * n : 8 * n].reshape(n, 2),
-            stored=found[8 * n : 9 * n],
-            strength=found[9 * n : 10 * n],
-            utilisation=found[10 * n : 11 * n],
-            margin=found[11 * n : 12 * n],
+            traction=parts["traction"],
+            tangent=parts["tangent"].reshape(n, 2, 2),
+            inelastic=parts["inelastic"],
+            **scalars,
             is_sliding=statuses[0],
             is_open=statuses[1],
             history=new,
         )
+
+
+def in_parts(values: Floats, sections: int) -> dict[str, Floats]:
+    """Views (n, k) of the parts of answers of so many sections, by their names."""
+    return {
+        name: values[sections * at.start : sections * at.stop].reshape(sections, at.stop - at.start)
+        for name, at in parts_of_answer().items()
+    }
 
 
 def _address(values: NDArray[Any]) -> int:

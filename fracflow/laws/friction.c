@@ -1,7 +1,9 @@
 /* The response of all sections of a law at once; ``compiled.py`` calls it. */
 #include "response.h"
 
-const int fracflow_laws_version = 1;
+const int fracflow_laws_version = 2;
+#define TEXT_OF(name, columns) #name " " #columns ";"
+const char fracflow_answer[] = PARTS_OF_ANSWER(TEXT_OF);
 
 /* ``answer`` of sections (n,): their laws (n, LAW), strains (n, 2), and their histories; the path of slip may be NULL. */
 void fracflow_friction(int32_t n, int32_t is_held, int32_t is_coupled, const double *laws, const double *strains,

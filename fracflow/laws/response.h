@@ -4,6 +4,13 @@
 #include "friction.h"
 #include <stdint.h>
 
+/* Parts of an answer and their columns, one part after the other, each of all sections; ``compiled.py`` reads its text. */
+#define PARTS_OF_ANSWER(PART) \
+  PART(traction, 2) PART(tangent, 4) PART(inelastic, 2) PART(stored, 1) PART(strength, 1) PART(utilisation, 1) PART(margin, 1) \
+  PART(plastic_slip, 1) PART(sliding, 1) PART(slip_path, 1)
+#define COLUMNS_OF(name, columns) of_##name, last_of_##name = of_##name + columns - 1,
+enum { PARTS_OF_ANSWER(COLUMNS_OF) COLUMNS_OF_ANSWER };
+
 #define TINY_STRENGTH 1e-9 /* ``friction.TINY_STRENGTH`` */
 
 /* ``closure._minus_log`` */
@@ -14,7 +21,8 @@ static inline double minus_log(double x) {
 
 /* Energy of ``NormalClosure.evaluate``. */
 static inline double energy_of(const double *law, double opening) {
-  const double eps = least_of(opening, edge_of(law)), hyperbola = law[GAP] * law[GAP] * minus_log(least_of(eps, 0.0) / law[GAP]);
+  const double eps = least_of(opening, edge_of(law));
+  const double hyperbola = law[GAP] * law[GAP] * minus_log(least_of(eps, 0.0) / law[GAP]);
   return law[F_N] * eps + law[K_N] * (opening < 0.0 ? hyperbola : 0.5 * (eps * eps));
 }
 
@@ -32,14 +40,14 @@ static inline double used(double size, double strength) {
   return size > 0.0 ? INFINITY : 0.0;
 }
 
-/* Of section i of n. In ``found`` follow tractions, tangents, inelastic strains, stored energies, strengths, utilisations, margins,
-   plastic slips, directions of sliding and paths; in ``statuses`` whether they slide, and whether they are open.
+/* Of section i of n, into ``found``; in ``statuses`` whether they slide, and whether they are open.
    Products with 0 are made as the laws make them: where a traction overflows they have no number, and the trial is refused. */
 static inline void answer(const double *law, const past *before, const friction *at, const double *strain, int is_coupled,
                           int has_path, int64_t i, int64_t n, double *found, int8_t *statuses) {
-  double *traction = found, *tangent = traction + 2 * n, *inelastic = tangent + 4 * n, *stored = inelastic + 2 * n;
-  double *strength = stored + n, *utilisation = strength + n, *margin = utilisation + n, *new_plastic = margin + n;
-  double *new_sliding = new_plastic + n, *new_path = new_sliding + n, k_s = law[K_S];
+  double *traction = found + of_traction * n, *tangent = found + of_tangent * n, *inelastic = found + of_inelastic * n;
+  double *stored = found + of_stored * n, *strength = found + of_strength * n, *utilisation = found + of_utilisation * n;
+  double *margin = found + of_margin * n, *new_plastic = found + of_plastic_slip * n, *new_sliding = found + of_sliding * n;
+  double *new_path = found + of_slip_path * n, k_s = law[K_S];
   const double held = at->slides ? at->carried : 0.0, divisor = at->size > 0.0 ? at->size : 1.0;
   const double f_s = at->slides ? held * at->way : at->is_free ? 0.0 : at->shear;
   const double outer = at->slides * at->way * at->way, ratio = (at->slides ? held / divisor : at->is_free ? 0.0 : 1.0) * k_s;

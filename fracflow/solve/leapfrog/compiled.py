@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 10  # of the functions' arguments, as in rock.c
+VERSION = 11  # of the functions' arguments, as in rock.c
 _INT, _LONG, _REAL, _ARRAY = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
     "fracflow_sweep": (_REAL, (_INT, _INT, *[_ARRAY] * 14, _REAL, _REAL, *[_ARRAY] * 3)),
@@ -70,8 +70,7 @@ def steps_struct() -> type[ctypes.Structure]:
     """
     loops, fields = library(), list[tuple[str, Any]]()
     assert loops is not None
-    text = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(loops, "fracflow_steps_members"))).decode()
-    for declaration in text.replace("const ", "").split(";")[:-1]:
+    for declaration in _text("fracflow_steps_members").replace("const ", "").split(";")[:-1]:
         kind, names = declaration.split(maxsplit=1)
         for each in names.split(","):
             found: Any = _ARRAY if "*" in each else {"int64_t": _LONG, "double": _REAL}[kind]
@@ -81,6 +80,18 @@ def steps_struct() -> type[ctypes.Structure]:
     if ctypes.sizeof(made) != ctypes.c_int64.in_dll(loops, "fracflow_steps_size").value:
         raise ImportError("the text of steps.c is not read as its compiler does: set up again")
     return made
+
+
+@cache
+def pieces_of_step() -> list[str]:
+    """Names of the pieces of a step, in their order."""
+    return _text("fracflow_pieces").split(", ")
+
+
+def _text(name: str) -> str:
+    loops = library()
+    assert loops is not None
+    return ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(loops, name))).decode()
 
 
 def members_of_steps() -> set[str]:

@@ -8,20 +8,19 @@ step is a few calls, between which values travel.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.integrators.explicit import joint_share
-from fracflow.laws.compiled import Answers
+from fracflow.laws.compiled import Answers, in_parts, parts_of_answer
 from fracflow.mesh.data import Floats
 from fracflow.model.state import Sections
 from fracflow.solve.leapfrog.ahead import MOST_KEPT, StepsAhead, SupportsAt, is_tabled, loads_at, supports_at, waves_at
-from fracflow.solve.leapfrog.compiled import address, library, members_of_steps, steps_struct
+from fracflow.solve.leapfrog.compiled import address, library, members_of_steps, pieces_of_step, steps_struct
 from fracflow.solve.leapfrog.guess import JointGuess
 from fracflow.solve.leapfrog.joint_nodes import JointNodes
 from fracflow.solve.leapfrog.nodes import Nodes
@@ -29,14 +28,12 @@ from fracflow.solve.leapfrog.on_ranks import Beyond, beyond
 from fracflow.solve.leapfrog.rock import Cells
 
 MOST_AT_ONCE = 1e7  # unknowns times steps between two looks at signals: .1 to .4 s
-_MOTION, _JOINTS, _FORCES, _FIRST_HALF, _LATE_CELLS, _SECOND_HALF, _END = range(7)  # as in steps.c
 OF_A_ROW = {
     "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
     "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "boundaries", "of_damping", "energy", "left",
     "iterations", "row", "waits", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
 }  # fmt: skip
 """Members of ``steps`` that each row sets anew."""
-COLUMNS = (0, 2, 6, 8, 9, 10, 11, 12, 13, 14, 15)  # first ones of the parts of an answer, as in response.h
 
 
 class Held(NamedTuple):
@@ -216,25 +213,18 @@ class StepsInARow:
             return int(loops.fracflow_steps(at, some, end))
         comm, rock = self.nodes.operators.layout.comm, self.nodes.rock
         assert isinstance(rock, Cells) and rock.way is not None
-        piece, way = loops.fracflow_piece, rock.way
+        way, travel = rock.way, dict[str, Callable[[], None]]()  # what goes between ranks before a piece
+        travel["JOINTS"] = others.receive_motion
+        travel["FORCES"] = lambda: comm.Allreduce(MPI.IN_PLACE, self._agreed, op=MPI.MAX)
+        travel |= {"FIRST_HALF": way.begin, "LATE_CELLS": way.end}  # displacements of ghosts
+        travel |= {"SECOND_HALF": way.begin_back, "END": way.end_back}  # forces on them
         for done in range(some):
-            is_last = end and done == some - 1
-            piece(at, _MOTION, is_last)
-            others.way.begin()
-            others.way.end()
-            piece(at, _JOINTS, is_last)
-            comm.Allreduce(MPI.IN_PLACE, self._agreed, op=MPI.MAX)
-            if self._agreed[0] > 0.0:
-                return done
-            piece(at, _FORCES, is_last)
-            way.begin()
-            piece(at, _FIRST_HALF, is_last)
-            way.end()
-            piece(at, _LATE_CELLS, is_last)
-            way.begin_back()
-            piece(at, _SECOND_HALF, is_last)
-            way.end_back()
-            piece(at, _END, is_last)
+            for number, name in enumerate(pieces_of_step()):
+                if name in travel:
+                    travel[name]()
+                if name == "FORCES" and self._agreed[0] > 0.0:
+                    return done
+                loops.fracflow_piece(at, number, end and done == some - 1)
         return some
 
     def _all_sections(self, sections: Sections) -> tuple[Floats, Answers]:
@@ -245,17 +235,17 @@ class StepsInARow:
             answers = self._friction.answers(*known, sections.history[0])
         if self._others is None:
             return sections.strain, answers
-        own = np.hstack([sections.strain, *_parts(answers.values, count)])
+        own = np.hstack([sections.strain, *in_parts(answers.values, count).values()])
         rows = np.vstack([own, self._others.sections.there(own)])
-        values = np.concatenate([rows[:, 2 + first : 2 + last].ravel() for first, last in pairwise(COLUMNS)])
+        values = np.concatenate([rows[:, 2:][:, columns].ravel() for columns in parts_of_answer().values()])
         return rows[:, :2], Answers(values, np.zeros((2, len(rows)), dtype=bool))
 
     def _own(self, answers: Answers) -> Answers:
         """Those of this rank's sections."""
         if self._others is None:
             return answers
-        parts, count = _parts(answers.values, self._others.count), self._count
-        values = np.concatenate([part[:count].ravel() for part in parts])
+        parts, count = in_parts(answers.values, self._others.count), self._count
+        values = np.concatenate([part[:count].ravel() for part in parts.values()])
         return Answers(values, answers.statuses[:, :count].copy())
 
     def destroy(self) -> None:
@@ -305,11 +295,6 @@ def steps_in_a_row(
         "ghosts": 0,
     }
     return StepsInARow(nodes, given, None)
-
-
-def _parts(values: Floats, count: int) -> list[Floats]:
-    """Answers of so many sections, by their columns: (n, k) each."""
-    return [values[count * first : count * last].reshape(count, last - first) for first, last in pairwise(COLUMNS)]
 
 
 def _and_new(values: Floats) -> tuple[Floats, Floats]:

@@ -1,7 +1,7 @@
 /* The motion of joints in an explicit step, cluster by cluster, as ``joints.py`` has it for all at once, in the plane.
 
-   A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Friction is that of ``laws/friction.h``, a linear law
-   as in ``linear.py``. Where friction alone acts its answer is ``laws/response.h``'s, of the last trial. */
+   A guess alone: the laws of ``fracflow/laws`` judge it, and answer for it. Friction is that of ``laws/friction.h``, a linear
+   law as in ``linear.py``. Where friction alone acts its answer is ``laws/response.h``'s, of the last trial. */
 #include "../../laws/response.h"
 #include "machines.h"
 #include <stdint.h>
@@ -20,9 +20,10 @@ typedef struct {
   double traction[2], tangent[4], status;
 } response;
 
-/* The response at a strain; ``status`` is the direction of sliding, 0 while it sticks, and stays where it is held; tractions are
-   those of statuses held. 0 where crushed. */
-INLINE int responds(const double *law, const double *before, const double *strain, double status, int is_held, friction *at, response *found) {
+/* The response at a strain; ``status`` is the direction of sliding, 0 while it sticks, and stays where it is held; tractions
+   are those of statuses held. 0 where crushed. */
+INLINE int responds(const double *law, const double *before, const double *strain, double status, int is_held, friction *at,
+                    response *found) {
   double *f = found->traction, *d = found->tangent;
   d[1] = d[2] = 0.0, found->status = status;
   if (law[KIND] == LINEAR) {
@@ -72,7 +73,8 @@ static int solves(int n, double a[MOST_SIZE][MOST_SIZE], double *x) {
 typedef struct {
   const double *law[MOST_MEMBERS], *before[MOST_MEMBERS];
   friction at[MOST_MEMBERS]; /* of the last trial */
-  double status[MOST_MEMBERS], next[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE], moduli[4 * MOST_MEMBERS];
+  double status[MOST_MEMBERS], next[MOST_MEMBERS], change[MOST_SIZE], left[MOST_SIZE], traction[MOST_SIZE];
+  double moduli[4 * MOST_MEMBERS];
 } cluster;
 
 /* What is left of the motion of a cluster while no section changes its status, and its moduli times weights. Tractions and next
@@ -159,7 +161,8 @@ static int is_alike(int members, const double *compliance) {
   return 1;
 }
 
-/* x of such a cluster, K = S G M^-1 G' between any two of its sections, what is left of x = K sum w (f - f_old), and sum w D. */
+/* x of such a cluster, K = S G M^-1 G' between any two of its sections, what is left of x = K sum w (f - f_old), and sum w D.
+   */
 typedef struct {
   double x[2], compliance[4], left[2], moduli[4];
 } common;
@@ -213,7 +216,8 @@ INLINE int corrects_alike(cluster *c, int members, common *all) {
 /* ``settles`` of it, for x alone; 0 also where it leaves the first steps to that. */
 INLINE int settles_alike(cluster *c, int members, const double *compliance, double share, int most, int most_changes) {
   const int n = 2 * members;
-  common all = {{0.0}, {share * compliance[0], share * compliance[1], share * compliance[n], share * compliance[n + 1]}, {0.0}, {0.0}};
+  const double *k = compliance;
+  common all = {{0.0}, {share * k[0], share * k[1], share * k[n], share * k[n + 1]}, {0.0}, {0.0}};
   int total = 0;
   for (int m = 0; m < members; m++) {
     const double *before = c->before[m], *d = before + TANGENT, *free = before + FREE, weight = c->law[m][WEIGHT];
@@ -255,7 +259,10 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
       c.status[m] = c.before[m][STATUS];
     }
     const double *own = compliance + k * 4 * members * members;
-    int total = !is_alike(members, own) ? 0 : members == 2 ? settles_alike(&c, 2, own, share, most, most_changes) : settles_alike(&c, members, own, share, most, most_changes);
+    int total = 0;
+    if (is_alike(members, own)) /* mostly both sections of one joint, for which a compiler unrolls the loops */
+      total = members == 2 ? settles_alike(&c, 2, own, share, most, most_changes)
+                           : settles_alike(&c, members, own, share, most, most_changes);
     if (total == 0) {
       for (int m = 0; m < members; m++) c.status[m] = c.before[m][STATUS];
       total = settles(&c, members, own, share, most, most_changes);
@@ -275,8 +282,9 @@ int32_t fracflow_joints(int32_t clusters, int32_t members, const int64_t *rows, 
   return worst;
 }
 
-/* ``energy.joint_work`` and ``energy.dissipated`` of sections in the plane, and what ``steps.Run.pull`` keeps of them. Adds the
-   work of friction and the five sums; ``blur`` is ``residual.round_off_of_jumps`` of ``moved``, ``record`` the largest traction. */
+/* ``energy.joint_work`` and ``energy.dissipated`` of sections in the plane, and what ``steps.Run.pull`` keeps of them. Adds
+   the work of friction and the five sums; ``blur`` is ``residual.round_off_of_jumps`` of ``moved``, ``record`` the largest
+   traction. */
 void fracflow_work(int32_t n, const double *weight, const double *t0, const double *e0, const double *p0, const double *s0,
                    const double *r0, const double *b0, const double *t, const double *e, const double *p, const double *s,
                    const double *moved, double *record, double *blur, double *friction, double *sums) {

@@ -1,7 +1,7 @@
 /* Passes of an explicit step over the nodes of joints in the plane, each of which ``joint_nodes.py`` has in NumPy too.
 
-   Section s has entries from starts[s] on, two each, of both its rows of G, at places ``at`` of all nodes on which more than the
-   rock acts, and at places ``to`` of those that are pushed. */
+   Section s has entries from starts[s] on, two each, of both its rows of G, at places ``at`` of all nodes on which more than
+   the rock acts, and at places ``to`` of those that are pushed. */
 #include "machines.h"
 #include <math.h>
 #include <stdint.h>
@@ -13,7 +13,8 @@ void fracflow_predict(int32_t n, const int64_t *place, const double *v, double d
 }
 
 /* G times motion, (n, 2). */
-void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved, double *found) {
+void fracflow_jumps(int32_t n, const int32_t *starts, const int32_t *at, const double *entries, const double *moved,
+                    double *found) {
   for (int64_t s = 0; s < n; s++) {
     double x = 0.0, y = 0.0;
     for (int64_t k = starts[s]; k < starts[s + 1]; k++) {
@@ -119,8 +120,8 @@ void fracflow_before(int32_t n, const double *free, const double *strain, const 
   }
 }
 
-/* Strains (n, 2) after a step that ``joints.c`` found. Into ``largest`` the most of motion and of what is left of it; whether any
-   status has changed. */
+/* Strains (n, 2) after a step that ``joints.c`` found. Into ``largest`` the most of motion and of what is left of it; whether
+   any status has changed. */
 int32_t fracflow_after(int32_t n, const double *before, const double *found, double *strain, double *largest) {
   int changes = 0;
   double most = 0.0, worst = 0.0;

@@ -71,6 +71,11 @@ class Beyond:
     given: dict[str, int]
     kept: list[np.ndarray]
 
+    def receive_motion(self) -> None:
+        """Bring the motion of unknowns of others. Collective."""
+        self.way.begin()
+        self.way.end()
+
     def destroy(self) -> None:
         """Free the way. Collective."""
         self.way.destroy()

@@ -1,13 +1,13 @@
 /* (2.39) Forces of cells of plane rock, and steps of its nodes by central differences, in one sweep through memory.
 
-   Arrays of two values a node: places x, displacements u, velocities v at the middle of steps, forces f, outer forces e. Moduli
-   d of a rock: D_xx, D_xy, and D_ss of its shear, times engineering shear strain. A cell is a row of nodes and the number of its
-   rock. Each function of a cell takes K u off f, and finds twice the strain energy of the cell. */
+   Arrays of two values a node: places x, displacements u, velocities v at the middle of steps, forces f, outer forces e.
+   Moduli d of a rock: D_xx, D_xy, and D_ss of its shear, times engineering shear strain. A cell is a row of nodes and the
+   number of its rock. Each function of a cell takes K u off f, and finds twice the strain energy of the cell. */
 #include "machines.h"
 #include <stdint.h>
 #include <string.h>
 
-const int fracflow_leapfrog_version = 10;
+const int fracflow_leapfrog_version = 11;
 
 typedef double two __attribute__((vector_size(16), aligned(8)));
 typedef double four __attribute__((vector_size(32)));
@@ -36,8 +36,8 @@ INLINE double triangle(const int32_t *cell, const double *d, const double *x, co
     to_x = (four){p0[0], p1[0], p2[0], p3[0]}, to_y = (four){p0[1], p1[1], p2[1], p3[1]}; }
 
 /* Four triangles side by side, each as ``triangle`` has it. */
-INLINE void triangles_of_four(const int32_t *cells, const uint16_t *rock, const double *moduli, const double *x, const double *u,
-                              double *f, four *twice) {
+INLINE void triangles_of_four(const int32_t *cells, const uint16_t *rock, const double *moduli, const double *x,
+                              const double *u, double *f, four *twice) {
   int64_t at[3][4];
   four px[3], py[3], qx[3], qy[3];
   const double *of[4];
@@ -141,7 +141,8 @@ INLINE void parallelograms(const int32_t *cells, const uint16_t *rock, int count
 }
 
 /* Nodes from first to last: v += kick f/m, u += drift v. */
-INLINE void moved(int64_t first, int64_t last, const double *inverse, double kick, double drift, double *u, double *v, const double *f) {
+INLINE void moved(int64_t first, int64_t last, const double *inverse, double kick, double drift, double *u, double *v,
+                  const double *f) {
   for (int64_t i = first; i < last; i++) {
     const double by = kick * inverse[i], vx = v[2 * i] + by * f[2 * i], vy = v[2 * i + 1] + by * f[2 * i + 1];
     v[2 * i] = vx, v[2 * i + 1] = vy;
@@ -149,15 +150,16 @@ INLINE void moved(int64_t first, int64_t last, const double *inverse, double kic
   }
 }
 
-/* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of range
-   r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but others that
-   do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e. Where quiet[r],
-   e is 0 from the last top on, and is not read. */
-FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top, const int32_t *of_three,
-                                   const int32_t *of_four, const int32_t *oblique, const uint8_t *quiet, const int32_t *triangles,
-                                   const int32_t *quads, const uint16_t *rock_three, const uint16_t *rock_four,
-                                   const double *moduli, const double *x, const double *inverse, const double *e, double kick,
-                                   double drift, double *u, double *v, double *f) {
+/* f = e - K u, and the step of each node right after its last cell. Cells are in the order of their lowest nodes: those of
+   range r, from its first triangle and quadrilateral on, begin at nodes from node[r] on, and touch none from top[r] on but
+   others that do not move here. Its quadrilaterals from oblique[r] on are no parallelograms. Nodes before begun have their e.
+   Where quiet[r], e is 0 from the last top on, and is not read. */
+FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t *node, const int32_t *top,
+                                   const int32_t *of_three, const int32_t *of_four, const int32_t *oblique,
+                                   const uint8_t *quiet, const int32_t *triangles, const int32_t *quads,
+                                   const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
+                                   const double *inverse, const double *e, double kick, double drift, double *u, double *v,
+                                   double *f) {
   double twice = 0.0;
   four others = {0.0, 0.0, 0.0, 0.0};
   for (int32_t r = 0; r < ranges; r++) {
@@ -186,8 +188,9 @@ FOR_MACHINES double fracflow_sweep(int32_t ranges, int32_t begun, const int32_t 
 }
 
 /* f -= K u of some cells of three and of four nodes. */
-FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t *triangles, const int32_t *quads, const uint16_t *rock_three,
-                                   const uint16_t *rock_four, const double *moduli, const double *x, const double *u, double *f) {
+FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t *triangles, const int32_t *quads,
+                                   const uint16_t *rock_three, const uint16_t *rock_four, const double *moduli, const double *x,
+                                   const double *u, double *f) {
   double twice = 0.0;
   four others = {0.0, 0.0, 0.0, 0.0};
   for (int64_t k = 0; k < threes; k++) twice += triangle(triangles + 3 * k, moduli + 3 * (int64_t)rock_three[k], x, u, f);
@@ -195,8 +198,8 @@ FOR_MACHINES double fracflow_cells(int32_t threes, int32_t fours, const int32_t 
   return twice + ((others[0] + others[1]) + (others[2] + others[3]));
 }
 
-FOR_MACHINES void fracflow_move(int32_t first, int32_t last, const double *inverse, double kick, double drift, double *u, double *v,
-                                const double *f) {
+FOR_MACHINES void fracflow_move(int32_t first, int32_t last, const double *inverse, double kick, double drift, double *u,
+                                double *v, const double *f) {
   moved(first, last, inverse, kick, drift, u, v, f);
 }
 
@@ -226,14 +229,15 @@ INLINE void add(sums *all, two mass, two s, two u, two v, two a) {
 }
 
 INLINE void told(const sums *all, double *found) {
-  found[0] = all->moving[0] + all->moving[1], found[1] = all->pushed[0] + all->pushed[1], found[2] = all->work[0] + all->work[1];
+  found[0] = all->moving[0] + all->moving[1], found[1] = all->pushed[0] + all->pushed[1];
+  found[2] = all->work[0] + all->work[1];
   const two l = all->largest, u = all->farthest;
   found[3] = l[0] > l[1] ? l[0] : l[1], found[4] = u[0] > u[1] ? u[0] : u[1];
 }
 
 /* Those sums, with m of each unknown. */
-FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s, const double *u,
-                                double *found) {
+FOR_MACHINES void fracflow_sums(int32_t n, const double *mass, const double *v, const double *a, const double *s,
+                                const double *u, double *found) {
   sums all = {{0.0}};
   for (int64_t i = 0; i < 2 * (int64_t)n; i += 2) add(&all, AT(mass, i), AT(s, i), AT(u, i), AT(v, i), AT(a, i));
   told(&all, found);

@@ -1,6 +1,7 @@
 /* Explicit steps in a row, as ``steps.Run`` takes them one by one, by the same loops. For joints whose law has a compiled
-   answer, sides of dashpots and waves, one damping, supports, and loads that change. On several ranks a step is in pieces, between which
-   values travel. */
+   answer, sides of dashpots and waves, one damping, supports, and loads that change. A step is in pieces: on several ranks
+   values travel between them. */
+#include "../../laws/response.h"
 #include "loops.h"
 #include <math.h>
 #include <string.h>
@@ -38,7 +39,7 @@ STEPS(
   double *moved, *free, *sizes, *force, *added, *scratch, *forces;
   const double *base;
   double *accelerations[2];
-  /* places of unknowns with loads that change (m,) among all and among pushed ones; their initial stress (m,); loads (rows, m) */
+  /* places of unknowns with loads that change (m,) among all and among pushed; their initial stress (m,); loads (rows, m) */
   const int64_t *at_loads, *by_loads;
   const double *prestress, *loads;
   /* places of supports (h,) among all, in the rock, and of each unknown at ``at_own`` among supports, -1 of none; masses there;
@@ -98,8 +99,8 @@ static void joints_balance(steps *s) {
   double *was = s->values[0], *is = s->values[1], *agreed = s->agreed;
   memset(agreed, 0, 4 * sizeof(double));
   fracflow_jumps((int32_t)n, s->starts, s->at, s->entries, s->moved, s->free);
-  fracflow_before((int32_t)n, s->free, s->strain[0], was, was + 2 * n, was + 12 * n, was + 13 * n,
-                  s->has_path ? was + 14 * n : 0, s->before);
+  fracflow_before((int32_t)n, s->free, s->strain[0], was + of_traction * n, was + of_tangent * n, was + of_plastic_slip * n,
+                  was + of_sliding * n, s->has_path ? was + of_slip_path * n : 0, s->before);
   for (int64_t k = 0; k < s->batches; k++) {
     const int32_t done = fracflow_joints((int32_t)s->shapes[2 * k], (int32_t)s->shapes[2 * k + 1], s->rows[k], s->compliance[k],
                                          s->share, s->laws, s->before, (int32_t)s->most, (int32_t)s->most_changes, s->found,
@@ -126,8 +127,9 @@ static void joints_push(steps *s) {
   if (!n) return;
   fracflow_pull((int32_t)n, (int32_t)s->pushed_all, s->starts, s->at, s->to, s->entries, s->weights, was, is, s->inverse_pushed,
                 s->share, s->of_pushed, s->scratch, s->force, s->added, s->moved, s->sizes);
-  fracflow_work((int32_t)s->sections, s->weights, was, s->strain[0], was + 6 * n, was + 8 * n, s->record[0], s->blur[0], is,
-                s->strain[1], is + 6 * n, is + 8 * n, s->sizes, s->record[1], s->blur[1], s->friction, s->of_joints);
+  fracflow_work((int32_t)s->sections, s->weights, was, s->strain[0], was + of_inelastic * n, was + of_stored * n, s->record[0],
+                s->blur[0], is, s->strain[1], is + of_inelastic * n, is + of_stored * n, s->sizes, s->record[1], s->blur[1],
+                s->friction, s->of_joints);
   swap(s->strain), swap(s->values), swap(s->record), swap(s->blur);
   int8_t *kept = s->statuses[0];
   s->statuses[0] = s->statuses[1], s->statuses[1] = kept;
@@ -229,10 +231,13 @@ static void ends(steps *s, double kick, double drift, int is_last) {
   s->row++;
 }
 
-enum { MOTION, JOINTS, FORCES, FIRST_HALF, LATE_CELLS, SECOND_HALF, END };
+/* The pieces of a step in their order, and their text, by which ``in_a_row.py`` knows what travels before each. */
+#define PIECES(...) \
+  enum { __VA_ARGS__, COUNT_OF_PIECES }; \
+  const char fracflow_pieces[] = #__VA_ARGS__;
+PIECES(MOTION, JOINTS, FORCES, FIRST_HALF, LATE_CELLS, SECOND_HALF, END)
 
-/* A piece of a step, which ends at an instant where ``is_last``. Before JOINTS, the motion of ghosts has come. Before FORCES,
-   ranks have agreed. Displacements of ghosts travel during the first half of the sweep, forces on them during the second. */
+/* One of them, of a step that ends at an instant where ``is_last``. */
 void fracflow_piece(steps *s, int32_t piece, int32_t is_last) {
   const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
   const int64_t half = s->ranges / 2, early = 2 * s->early, owned = 2 * s->owned;
@@ -261,12 +266,10 @@ void fracflow_piece(steps *s, int32_t piece, int32_t is_last) {
 int64_t fracflow_steps(steps *s, int64_t count, int32_t end) {
   for (int64_t k = 0; k < count; k++) {
     const int is_last = end && k == count - 1;
-    const double kick = is_last ? 0.5 * s->dt : s->dt, drift = is_last ? 0.0 : s->dt;
-    predicts(s), joints_balance(s);
-    if (s->agreed[0] > 0.0) return k;
-    joints_push(s), outer_forces(s), s->energy = 0.0;
-    sweeps(s, 0, s->ranges, kick, drift);
-    ends(s, kick, drift, is_last);
+    for (int32_t piece = 0; piece < COUNT_OF_PIECES; piece++) {
+      if (piece == FORCES && s->agreed[0] > 0.0) return k;
+      fracflow_piece(s, piece, is_last);
+    }
   }
   return count;
 }
