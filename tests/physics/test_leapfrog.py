@@ -385,8 +385,12 @@ def test_goes_on_to_the_bit(scene, tmp_path):
 @pytest.mark.skipif(library() is None, reason="loops are not compiled here")
 def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
     """They are those that Python takes one by one, also where they stop for some of these, and go on to the bit."""
-    file = longer(scene)
-    run(load(file), tmp_path / "rows", MPI.COMM_SELF)
+    file, reports = longer(scene), {"rows": [], "single": [], "brief": []}
+
+    def made(name):
+        run(load(file), tmp_path / name, MPI.COMM_SELF, progress=lambda step: reports[name].append(step.report))
+
+    made("rows")
     assert taken and all(count == done > 1 for count, done in taken)
     at_once, loops = [], library().fracflow_steps
     with monkeypatch.context() as few:
@@ -397,22 +401,34 @@ def test_steps_in_a_row(scene, tmp_path, taken, monkeypatch):
         resume(tmp_path / "parts", MPI.COMM_SELF)
     assert {count for count, end in at_once if not end} == {3} and max(count for count, _ in at_once) == 3
     taken.clear()
-    monkeypatch.setattr(StepsInARow, "_most_pressed", lambda self, sections: -1.0000001 * sections.traction[:, 1].min())
     rows, tables = [], in_a_row.loads_at
-    with monkeypatch.context() as counted:
-        counted.setattr(in_a_row, "loads_at", lambda *given: rows.append(given[-1]) or tables(*given))
+    with monkeypatch.context() as few:
+        few.setattr(StepsInARow, "_most_pressed", lambda self, sections: -1.0000001 * sections.traction[:, 1].min())
+        few.setattr(in_a_row, "loads_at", lambda *given: rows.append(given[-1]) or tables(*given))
         run(load(file), tmp_path / "mixed", MPI.COMM_SELF)
     assert sum(rows) <= 1.7 * sum(max(done, 1) for _, done in taken)  # few are lost where steps are refused
     assert any(0 < done < count for count, done in taken) and any(not done for _, done in taken)
+    taken.clear()
+    begin = StepsInARow.__init__
+    with monkeypatch.context() as brief:  # the loops find no balance of sections that take more iterations
+        brief.setattr(
+            StepsInARow, "__init__", lambda self, nodes, given, *more: begin(self, nodes, given | {"most": 1}, *more)
+        )
+        made("brief")
+    assert any(0 < done < count for count, done in taken) and any(not done for _, done in taken)
     monkeypatch.setattr(steps, "steps_in_a_row", lambda *given: None)
-    run(load(file), tmp_path / "single", MPI.COMM_SELF)
+    made("single")
+    for name in ("rows", "brief"):
+        for found, one in zip(reports[name], reports["single"], strict=True):
+            assert (found.newton, found.solved) == (one.newton, one.solved)
+            assert 0.0 < found.solid_residual < 1e-12, name
     single, rows, parts = (read_history(tmp_path / name / "history.h5") for name in ("single", "rows", "parts"))
     largest = max(np.abs(values).max() for name, values in single.items() if name.startswith("energy/"))
     assert np.abs(rows["energy/residual"]).max() < 1e-10 * largest
     for name in ("kinetic", "radiated", "damping", "friction", "work_boundaries", "work_incident"):
         assert np.abs(single[f"energy/{name}"]).max() > 1e-6 * largest, name  # all of them act
     kept = read_arrays(tmp_path / "single" / "checkpoint.h5")
-    for name in ("rows", "mixed"):
+    for name in ("rows", "mixed", "brief"):
         assert_alike(tmp_path / "single", tmp_path / name, 1e-13)
         found = read_arrays(tmp_path / name / "checkpoint.h5")
         for key in ("friction", "sections/record", "sections/blur"):

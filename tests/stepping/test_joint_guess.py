@@ -14,6 +14,7 @@ from fracflow.model.joints import Joints, LawGroup
 from fracflow.solve.clusters import Batch, Clusters, Exchange
 from fracflow.solve.leapfrog.compiled import library
 from fracflow.solve.leapfrog.guess import joint_guess
+from fracflow.solve.leapfrog.in_a_row import StepsInARow
 from fracflow.solve.leapfrog.joints import JointSolver
 
 pytestmark = [pytest.mark.serial, pytest.mark.skipif(library() is None, reason="loops are not compiled here")]
@@ -127,6 +128,34 @@ def test_the_answer_of_one_law_is_its_own(number, coupled):
         assert np.abs(trial.strain - wanted.strain).max() < 1e-12 * np.abs(wanted.strain - sections.strain).max()
         sections, slid = wanted, slid + int(wanted.is_sliding.sum())
     assert slid > STEPS
+
+
+@pytest.mark.parametrize(
+    ("steepest", "bound"), [(0.0, np.inf), (0.4, 2e6), (0.8, 1.1e6), (0.95, -np.inf), (2.0, -np.inf)]
+)
+def test_loops_stop_before_a_section_may_jump(steepest, bound):
+    """At a multiple of the present compression up to which no strength falls faster than shear stiffness unloads.
+
+    steepest  fall of strength with slip over that stiffness, where compression is largest [1]
+    """
+    law = SlipWeakening(
+        1e10,
+        1e10,
+        1e-3,
+        friction_coefficient=0.5 + steepest,
+        dynamic_friction_coefficient=0.5,
+        slip_weakening_distance=1e-4,
+    )
+    joints = SimpleNamespace(laws=(SimpleNamespace(law=law),))
+    loops = SimpleNamespace(_friction=law, nodes=SimpleNamespace(operators=SimpleNamespace(joints=joints)))
+    tractions = np.array([[3e6, -5e5], [0.0, 2e6], [0.0, -1e6]])
+
+    def bound_at(traction):
+        return StepsInARow._most_pressed(loops, SimpleNamespace(traction=traction))
+
+    assert bound_at(tractions) == pytest.approx(bound, rel=1e-15)
+    assert bound_at(np.full((1, 2), np.nan)) == (-np.inf if steepest else np.inf)
+    assert StepsInARow._most_pressed(SimpleNamespace(_friction=None), None) == np.inf  # without joints
 
 
 def test_laws_without_a_copy():

@@ -134,8 +134,6 @@ class StepsInARow:
         """
         given, nodes, dt = self._given, self.nodes, ahead.dt
         given.most_pressed = self._most_pressed(held.sections)
-        if self._is_refused(given.most_pressed):
-            return None
         given.dt, given.share, given.waits = dt, joint_share(dt), held.waits
         inverse = nodes.inverse_with_dashpots(dt).blocks[0]
         (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
@@ -253,17 +251,10 @@ class StepsInARow:
         if self._others is not None:
             self._others.destroy()
 
-    def _is_refused(self, most_pressed: float) -> bool:
-        """Whether no compression is known on any rank at which no section jumps. Collective."""
-        is_here = most_pressed == -np.inf
-        return (
-            is_here if self._others is None else bool(self.nodes.operators.layout.comm.allreduce(is_here, op=MPI.LOR))
-        )
-
     def _most_pressed(self, sections: Sections) -> float:
         """Up to which compression no strength falls so fast that a section jumps, as far as that is known [stress].
 
-        -inf where none is known, as of tractions that are no numbers.
+        -inf where none is known, as of tractions that are no numbers: the loops then take no step.
         """
         if self._friction is None:
             return np.inf

@@ -199,21 +199,15 @@ INLINE int balances_alike(cluster *c, int members, common *all) {
   return is_done;
 }
 
-/* x += (1 + K sum w D)^-1 of what is left; 0 where a section would close by more than 0.9 of its gap. */
-INLINE int corrects_alike(cluster *c, int members, common *all) {
+/* x += (1 + K sum w D)^-1 of what is left. */
+INLINE void corrects_alike(common *all) {
   const double *k = all->compliance, *d = all->moduli, r = all->left[0], s = all->left[1];
   const double a = 1.0 + k[0] * d[0] + k[1] * d[2], b = k[0] * d[1] + k[1] * d[3];
   const double e = k[2] * d[0] + k[3] * d[2], f = 1.0 + k[2] * d[1] + k[3] * d[3], by = 1.0 / (a * f - b * e);
   all->x[0] += by * (f * r - b * s), all->x[1] += by * (a * s - e * r);
-  for (int m = 0; m < members; m++) {
-    const double *before = c->before[m], *law = c->law[m], closed = c->change[2 * m + 1];
-    const double closes = closed - (before[FREE + 1] - all->x[1]), gap = before[STRAIN + 1] + closed + law[GAP];
-    if (law[KIND] != LINEAR && closes > 0.9 * gap) return 0;
-  }
-  return 1;
 }
 
-/* ``settles`` of it, for x alone; 0 also where it leaves the first steps to that. */
+/* ``settles`` of it, for x alone; 0 also where a section would be crushed, which it leaves to that. */
 INLINE int settles_alike(cluster *c, int members, const double *compliance, double share, int most, int most_changes) {
   const int n = 2 * members;
   const double *k = compliance;
@@ -221,7 +215,6 @@ INLINE int settles_alike(cluster *c, int members, const double *compliance, doub
   int total = 0;
   for (int m = 0; m < members; m++) {
     const double *before = c->before[m], *d = before + TANGENT, *free = before + FREE, weight = c->law[m][WEIGHT];
-    c->change[2 * m] = c->change[2 * m + 1] = 0.0;
     for (int i = 0; i < 4; i++) all.moduli[i] += weight * d[i];
     const double push[2] = {weight * (d[0] * free[0] + d[1] * free[1]), weight * (d[2] * free[0] + d[3] * free[1])};
     for (int i = 0; i < 2; i++) all.left[i] += all.compliance[2 * i] * push[0] + all.compliance[2 * i + 1] * push[1];
@@ -230,7 +223,7 @@ INLINE int settles_alike(cluster *c, int members, const double *compliance, doub
     int done = round ? balances_alike(c, members, &all) : 0;
     for (int since = 0; done == 0 && since <= most; since++) {
       total++;
-      if (!corrects_alike(c, members, &all)) return 0;
+      corrects_alike(&all);
       done = balances_alike(c, members, &all);
     }
     if (done != 1) return 0;
