@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.integrators.explicit import joint_share
@@ -78,6 +79,29 @@ class Row(NamedTuple):
     left: float
 
 
+class _Arrays(NamedTuple):
+    """Arrays of one row, alive as long as it is taken.
+
+    pairs      those before a step and after it, by their names in ``steps.c``: they change places;  ``answers`` likewise
+    resisting  (o,) forces of dashpots, by terms
+    singles    those that stay where they are, by their names
+    """
+
+    pairs: Mapping[str, tuple[Floats, Floats]]
+    answers: tuple[Answers, Answers]
+    resisting: Mapping[str, Floats]
+    singles: Mapping[str, NDArray[Any]]
+
+
+class _Outer(NamedTuple):
+    """Loads (m,), supports and powers of waves at the last step that was taken, and what waves have brought, by terms."""
+
+    load: Floats
+    supports: SupportsAt
+    powers: Mapping[str, float]
+    brought: Mapping[str, float]
+
+
 class StepsInARow:
     """The loops with their arrays."""
 
@@ -132,17 +156,21 @@ class StepsInARow:
         base    (m,) forces that stay, on those of ``Nodes.every`` on which others act [force per thickness]
         beside  (l,) loads that stay where others change [force per thickness]
         """
-        given, nodes, dt = self._given, self.nodes, ahead.dt
-        given.most_pressed = self._most_pressed(held.sections)
+        arrays = self._begin(held, base, ahead.dt)
+        done, outer = self._go_on(held, beside, ahead)
+        return self._row(held, arrays, done, outer) if done else None
+
+    def _begin(self, held: Held, base: Floats, dt: float) -> _Arrays:
+        """Give the loops what a row begins with. Collective."""
+        given, nodes, sections = self._given, self.nodes, held.sections
+        given.most_pressed = self._most_pressed(sections)
         given.dt, given.share, given.waits = dt, joint_share(dt), held.waits
-        inverse = nodes.inverse_with_dashpots(dt).blocks[0]
-        (strain, before), sections, friction = self._all_sections(held.sections), held.sections, held.friction.copy()
-        after = Answers(np.empty_like(before.values), np.empty_like(before.statuses))
+        strain, before = self._all_sections(sections)
+        answers = before, Answers(np.empty_like(before.values), np.empty_like(before.statuses))
         damped_forces = (np.zeros(self._places), np.zeros(self._places))
         for damped_before in held.damped.values():
             damped_forces[0][: len(damped_before)] = damped_before
         pairs: dict[str, tuple[Floats, Floats]] = {
-            "values": (before.values, after.values),
             "strain": _and_new(strain),
             "record": _and_new(sections.record),
             "blur": _and_new(sections.blur),
@@ -150,48 +178,61 @@ class StepsInARow:
             "damped_forces": damped_forces,
         }
         resisting = {name: held.resisting[name].copy() for name in nodes.dashpots}
-        of_terms, joints = np.zeros(len(resisting)), np.zeros(5)
-        addresses = np.array([*map(address, resisting.values())], np.int64)
-        support = held.support.copy()
-        singles = {"base": base, "inverse_own": inverse, "friction": friction, "of_terms": of_terms, "support": support}
-        for name, values in (singles | {"of_joints": joints, "resisting": addresses}).items():
+        singles = {
+            "friction": held.friction.copy(), "support": held.support.copy(), "of_terms": np.zeros(len(resisting)),
+            "of_joints": np.zeros(5), "base": base, "inverse_own": nodes.inverse_with_dashpots(dt).blocks[0],
+            "resisting": np.array([*map(address, resisting.values())], np.int64),
+        }  # fmt: skip
+        for name, values in singles.items():
             setattr(given, name, address(values))
-        for name, pair in (pairs | {"statuses": (before.statuses, after.statuses)}).items():
+        of_sections = zip(("values", "statuses"), zip(*answers, strict=True), strict=True)
+        for name, pair in (*pairs.items(), *of_sections):
             getattr(given, name)[:] = [*map(address, pair)]
         given.scheme = given.boundaries = given.of_damping = given.energy = given.iterations = given.left = 0.0
-        done, load, supports, powers, brought = 0, held.load, held.supports, dict(held.powers), dict[str, float]()
-        while done < ahead.left:
+        return _Arrays(pairs, answers, resisting, singles)
+
+    def _go_on(self, held: Held, beside: Floats, ahead: StepsAhead) -> tuple[int, _Outer]:
+        """Take steps, table by table, to the end or to one that needs laws; and how many. Collective."""
+        nodes, done, load, supports = self.nodes, 0, held.load, held.supports
+        powers, brought, taken, some = dict(held.powers), dict[str, float](), 0, 0
+        while done < ahead.left and taken == some:
             some = min(self._some, ahead.left - done)
             tables = self._tables(
                 load, supports, loads_at(nodes, beside, ahead, done, some), supports_at(nodes, ahead, done, some)
             )
             incoming, power = waves_at(nodes, ahead, done, some)
-            given.incoming = address(incoming)
+            self._given.incoming = address(incoming)
             taken = self._steps(some, done + some == ahead.left)
             done, load, supports = done + taken, tables[0][taken], SupportsAt(*(each[taken] for each in tables[1:]))
             for name, each in power.items():
                 for now in each[:taken].tolist():
-                    brought[name] = brought.get(name, 0.0) + 0.5 * dt * (powers.get(name, 0.0) + now)
+                    brought[name] = brought.get(name, 0.0) + 0.5 * ahead.dt * (powers.get(name, 0.0) + now)
                     powers[name] = now
             # tables of steps that are not taken are lost: after a refusal few at a time, as it may come again
             self._some = max(1, taken) if taken < some else min(2 * self._some, self._at_once)
-            if taken < some:
-                break
-        if not done:
-            return None
-        last = {name: pairs[name][done % 2] for name in pairs}
+        return done, _Outer(load, supports, powers, brought)
+
+    def _row(self, held: Held, arrays: _Arrays, done: int, outer: _Outer) -> Row:
+        """What the loops have left there after some steps."""
+        given, sections, last = (
+            self._given,
+            held.sections,
+            {name: pair[done % 2] for name, pair in arrays.pairs.items()},
+        )
         if self._friction is not None:
-            response = self._friction.response(self._own((before, after)[done % 2]))
-            found = nodes.operators.joints.answered(last["strain"][: self._count].copy(), response)
+            response = self._friction.response(self._own(arrays.answers[done % 2]))
+            found = self.nodes.operators.joints.answered(last["strain"][: self._count].copy(), response)
             sections = replace(found, record=last["record"], blur=last["blur"])
         damped = {name: last["damped_forces"][: len(values)].copy() for name, values in held.damped.items()}
-        taken_by = dict(zip(resisting, of_terms.tolist(), strict=True))
-        for name in damped:
-            taken_by[name] = taken_by.get(name, 0.0) + given.of_damping
-        new = Held(
-            sections, friction, last["accelerations"], resisting, damped, load, support, supports, powers, held.waits
+        of_terms, joints, friction, support = (
+            arrays.singles[name] for name in ("of_terms", "of_joints", "friction", "support")
         )
-        sums = given.energy, given.scheme, given.boundaries, taken_by, brought, joints
+        taken = dict(zip(arrays.resisting, of_terms.tolist(), strict=True))
+        for name in damped:
+            taken[name] = taken.get(name, 0.0) + given.of_damping
+        ended = sections, friction, last["accelerations"], arrays.resisting, damped
+        new = Held(*ended, outer.load, support, outer.supports, outer.powers, held.waits)
+        sums = given.energy, given.scheme, given.boundaries, taken, outer.brought, joints
         return Row(done, new, *sums, round(given.iterations), given.left)
 
     def _tables(self, load: Floats, supports: SupportsAt, loads: Floats, moving: SupportsAt) -> list[Floats]:

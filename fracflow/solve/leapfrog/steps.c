@@ -111,7 +111,7 @@ static void joints_balance(steps *s) {
     }
     if (done > agreed[1]) agreed[1] = done;
   }
-  const double *inelastic = is + 6 * n;
+  const double *inelastic = is + of_inelastic * n;
   for (int64_t i = 0; i < s->sections; i++)
     if (!(-is[2 * i + 1] <= s->most_pressed) || (s->waits && (inelastic[2 * i] != 0.0 || inelastic[2 * i + 1] != 0.0)))
       agreed[0] = 1.0;
