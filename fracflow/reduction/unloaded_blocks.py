@@ -59,7 +59,7 @@ def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
         return none, UnloadedBlocks(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):
-        loaded[part[named_nodes(model, mesh, name, with_rocks=False)]] = True
+        loaded[part[_side_nodes(model, mesh, name)]] = True
         if name in mesh.rocks:
             loaded[part_of[blocks_with(mesh, mesh.rocks.index(name))]] = True
     flow = np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)
@@ -89,14 +89,11 @@ def parts(mesh: SplitMesh, tied: Ints) -> tuple[Ints, Ints]:
     return components(piece[one], piece[other], count), piece
 
 
-def named_nodes(model: Model, mesh: SplitMesh, name: str, with_rocks: bool = True) -> np.ndarray:
-    """Nodes (n,) of a side, a point or, ``with_rocks``, a rock, of which rank 0 must have all; a name may be of several."""
+def _side_nodes(model: Model, mesh: SplitMesh, name: str) -> Ints:
+    """Nodes (n,) of a side or a point; a name may be of both."""
     chosen = [np.zeros(0, dtype=np.int64)]
     if name in mesh.sides:
         chosen.append(mesh.side_facets[mesh.side_of == mesh.sides.index(name)].ravel())
-    if with_rocks and name in mesh.rocks:
-        cells = mesh.cells[mesh.cell_rock == mesh.rocks.index(name)]
-        chosen.append(cells[cells >= 0])
     if name in model.placed.points:
         chosen.append(model.placed.points[name])
     return np.concatenate(chosen)
