@@ -14,6 +14,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, SolidBlock, owner_of
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.mesh.places import place_text
+from fracflow.mesh.slices.directory import Route
 from fracflow.model.solid import summed_at_nodes
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
@@ -106,17 +107,23 @@ def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
 def prescribe(
     starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
 ) -> tuple[PrescribedValues, Ints]:
-    """Unknowns of this rank among numbers (n,) found anywhere, but for those taken before; and all taken now. Collective.
+    """Unknowns of this rank among numbers (n,) found anywhere, but for those ``taken`` before; and those taken now. Collective.
 
+    taken  of those of this rank, at least; see ``of_all_ranks``
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """
-    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
-    everywhere, first = np.unique(numbers, return_index=True)
-    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
-    here = is_new & (owner_of(starts, everywhere) == comm.rank)
-    with_it = data[first[here]]
-    numbers, taken = everywhere[here] - starts[comm.rank], np.union1d(taken, everywhere)
-    return PrescribedValues(numbers, _AtPlaces(value, with_it)), taken
+    to_owners = Route(comm, owner_of(starts, found[0]))
+    numbers, data = (to_owners.send(each) for each in found)
+    mine, first = np.unique(numbers, return_index=True)
+    is_new = np.isin(mine, taken, invert=True)  # where two supports meet, the first one holds
+    held = PrescribedValues(mine[is_new] - starts[comm.rank], _AtPlaces(value, data[first[is_new]]))
+    return held, np.union1d(taken, mine)
+
+
+def of_all_ranks(starts: Ints, comm: MPI.Comm, taken: Ints) -> Ints:
+    """Numbers (n,) that are ``taken`` on the rank that owns them, ascending. Collective."""
+    mine = taken[owner_of(starts, taken) == comm.rank]
+    return np.concatenate(comm.allgather(mine))
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,14 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.agreement import on_root
+from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
+from fracflow.mesh.slices.directory import Route
 from fracflow.mesh.whole import blocks_with
-from fracflow.model.dirichlet import PrescribedValues, own
+from fracflow.model.dirichlet import PrescribedValues, of_all_ranks
 from fracflow.model.setup import Model
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
 from fracflow.scene.boundary import Support
@@ -108,10 +110,11 @@ def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     here = idle[block.piece]
     bodies = np.unique(block.body[here & (block.body >= 0)])
     unknowns = np.concatenate([block.unknown[here].ravel(), block.body_unknown[bodies].ravel()])
-    everywhere = np.unique(np.concatenate(comm.allgather(unknowns[unknowns >= 0])))
+    unknowns, starts = unknowns[unknowns >= 0].astype(np.int64), block.unknown_starts
+    numbers = np.unique(Route(comm, owner_of(starts, unknowns)).send(unknowns))  # of this rank
     loads, layout = model.loads, model.operators.layout
-    joined = layout.solid_numbers(everywhere.astype(np.int64))
-    mine = own(block.unknown_starts, comm.rank, everywhere)
+    joined = layout.solid_numbers(of_all_ranks(starts, comm, numbers))
+    mine = numbers - starts[comm.rank]
     free = np.setdiff1d(mine, np.concatenate([part.numbers for part in loads.supports]))
     held = replace(
         loads,
