@@ -13,6 +13,7 @@ from fracflow.diagnostics import pre_run_checks
 from fracflow.errors import SolveError
 from fracflow.mesh.distribute import distribute
 from fracflow.model.setup import read_sized
+from fracflow.output.sampling import StateSampler
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
@@ -123,3 +124,27 @@ def test_pre_run_checks_need_little_memory_a_joint():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(mesh.joint_flow) == 10_000 and peak < 700 * len(mesh.joint_flow)
+
+
+@pytest.mark.parametrize(
+    ("stage", "most"),
+    [
+        ("{kind = 'dynamic', time_step = 1e-6, steps = 2}", 48),
+        ("{kind = 'auto', time_step = 1e-6, dynamic_time_step = 1e-6, end = 2e-6}", 64),
+    ],
+    ids=["dynamic", "auto"],
+)
+def test_joint_ends_on_record_are_few_numbers_a_joint(stage, most, shared_tmp, monkeypatch):
+    """Flags in one number, slip and its rate, for a catalogue the traction, at both ends: 96 bytes of any stage before."""
+    found, snapshot = [], StateSampler.snapshot
+
+    def noted(self):
+        found.append(snapshot(self))
+        return found[-1]
+
+    monkeypatch.setattr(StateSampler, "snapshot", noted)
+    scene = load(MESHES / "failures" / "no_outlet" / "scene.toml", ["output.pictures=false", f"stage=[{stage}]"])
+    run(scene, shared_tmp / "out")
+    assert len(found) > 2
+    if MPI.COMM_WORLD.rank == 0:
+        assert found[-1].ends.nbytes == most * len(found[-1].ends) > 0
