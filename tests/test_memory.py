@@ -1,6 +1,7 @@
 """The memory that a run holds while it runs."""
 
 import gc
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -8,10 +9,12 @@ import pytest
 from fracflow._petsc import MPI, PETSc
 from fracflow.advance import discontinuities as instants
 from fracflow.advance.step import Stepping
+from fracflow.diagnostics import pre_run_checks
 from fracflow.errors import SolveError
 from fracflow.mesh.distribute import distribute
 from fracflow.model.setup import read_sized
-from fracflow.scene.scene import load
+from fracflow.output.sampling import StateSampler
+from fracflow.scene.scene import Scene, load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
 
@@ -101,3 +104,47 @@ def test_one_rank_holds_arrays_of_the_mesh_once():
     shared = ("cells", "points", "origin", "cell_rock")
     assert all(getattr(block, name) is getattr(mesh, name) for name in shared)
     assert block.node_global.base is None  # a view would keep other numbers alive
+
+
+@pytest.mark.serial
+def test_pre_run_checks_need_little_memory_a_joint():
+    """Of 20 fractures of 500 joints, whose flow is checked too: 605 bytes a joint, 948 with values of all cells."""
+    fractures = [{"name": f"f{row}", "points": [[0, row], [10, row]]} for row in range(20)]
+    law = {"normal_stiffness": 2e12, "shear_stiffness": 2e12, "aperture": 1e-3, "friction_coefficient": 0.6}
+    scene = Scene.from_data({
+        "geometry": {"domain": "unbounded", "size": 0.02, "fracture": fractures},
+        "rock": {"rock": {"youngs_modulus": 1e10, "poissons_ratio": 0.25, "density": 2500}},
+        "initial_stress": {"xx": -1e7, "yy": -1e7, "zz": -5e6}, "fluid": {"viscosity": 1e-3},
+        "fracture": {"default": law}, "stage": [{"kind": "quasi-static", "time_step": 1, "steps": 3}],
+    })  # fmt: skip
+    mesh = read_sized(scene)
+    pre_run_checks(scene, mesh, {})  # imports, and what is kept for ever
+    tracemalloc.start()
+    pre_run_checks(scene, mesh, {})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(mesh.joint_flow) == 10_000 and peak < 700 * len(mesh.joint_flow)
+
+
+@pytest.mark.parametrize(
+    ("stage", "most"),
+    [
+        ("{kind = 'dynamic', time_step = 1e-6, steps = 2}", 48),
+        ("{kind = 'auto', time_step = 1e-6, dynamic_time_step = 1e-6, end = 2e-6}", 64),
+    ],
+    ids=["dynamic", "auto"],
+)
+def test_joint_ends_on_record_are_few_numbers_a_joint(stage, most, shared_tmp, monkeypatch):
+    """Flags in one number, slip and its rate, for a catalogue the traction, at both ends: 96 bytes of any stage before."""
+    found, snapshot = [], StateSampler.snapshot
+
+    def noted(self):
+        found.append(snapshot(self))
+        return found[-1]
+
+    monkeypatch.setattr(StateSampler, "snapshot", noted)
+    scene = load(MESHES / "failures" / "no_outlet" / "scene.toml", ["output.pictures=false", f"stage=[{stage}]"])
+    run(scene, shared_tmp / "out")
+    assert len(found) > 2
+    if MPI.COMM_WORLD.rank == 0:
+        assert found[-1].ends.nbytes == most * len(found[-1].ends) > 0

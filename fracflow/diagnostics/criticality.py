@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow.diagnostics.joints import initial_tractions
+from fracflow.diagnostics.joints import at_ends, initial_tractions, joints_of_tables
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 
 SHEAR_ROUND_OFF = 1e-14  # of the normal traction: less shear is none
@@ -32,17 +31,10 @@ class Criticality:
 
 def criticality(scene: Scene, mesh: SplitMesh) -> Criticality:
     """Slip tendency and critical rise of pressure of a scene on its mesh. On one process."""
-
-    def ends(key: str) -> Floats:
-        values = np.full(mesh.joint_along.shape, np.nan)
-        for number, name in enumerate(mesh.fractures):
-            here, table = mesh.joint_fracture == number, scene.fracture_named(name)
-            if (law := JOINT_LAWS[table.law]).status or law.creeps:
-                values[here] = sample(getattr(table, key, None), mesh.joint_along[here])
-        return values
-
-    shear, normal = initial_tractions(scene, mesh)
-    return Criticality(*_near_slip(shear, normal, ends("friction"), np.nan_to_num(ends("cohesion"))))
+    tables = joints_of_tables(scene, mesh)
+    rubbing = [each for each in tables if (law := JOINT_LAWS[each[0].law]).status or law.creeps]
+    friction, cohesion = (at_ends(mesh, rubbing, key) for key in ("friction", "cohesion"))
+    return Criticality(*_near_slip(*initial_tractions(scene, mesh), friction, np.nan_to_num(cohesion)))
 
 
 def _near_slip(shear: Floats, normal: Floats, friction: Floats, cohesion: Floats) -> tuple[Floats, Floats]:

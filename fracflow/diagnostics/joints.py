@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
@@ -18,8 +16,10 @@ from fracflow.mesh.whole import block_areas, rock_areas
 from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
+from fracflow.scene.tables import Fracture
 
 Bools = np.ndarray
+AT_ONCE = 2**12  # cells or joints that are looked at together: what is found meanwhile takes several times their memory
 
 
 @dataclass(frozen=True)
@@ -87,26 +87,23 @@ class CheckJoints:
 def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> CheckJoints:
     """The joints of a mesh; ``wells`` name -> flow nodes."""
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
+    tables = joints_of_tables(scene, mesh)
 
     def ends(key: str) -> Floats:
-        values = np.full((len(length), 2), np.nan)
-        for number, name in enumerate(mesh.fractures):
-            here = mesh.joint_fracture == number
-            values[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
-        return values
+        return at_ends(mesh, tables, key)
 
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(ends("hydraulic"), ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
     sheared, normal = initial_tractions(scene, mesh)
-    drop, distance, *states = _of_laws(scene, mesh, ends, sheared, normal)
+    drop, distance, *states = _of_laws(mesh, tables, sheared, normal)
     laws = tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures)
     slides = np.array([bool(law.status) and law.slides for law in laws], dtype=bool)[mesh.joint_fracture]
     strength = np.nan_to_num(ends("cohesion")) + np.maximum(-normal, 0.0) * ends("friction")
     has_strength = slides[:, None] & (strength > 0.0)
-    rock = cell_rocks(scene, mesh)
+    rock, sides = rock_values(scene, mesh.rocks), mesh.cell_rock[mesh.joint_cells]
     component, reach = _reaches(scene, mesh, wells, length)
-    beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
+    speed = rock["shear_speed"][sides]
     return CheckJoints(
         names=mesh.fractures, fracture=mesh.joint_fracture, length=length, normal=ends("normal_stiffness"),
         shear=ends("shear_stiffness"), aperture=aperture, conducting=np.where(np.isnan(given), cubic, given),
@@ -114,13 +111,29 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) 
         direct=states[0], evolution=states[1], state_length=states[2], state=states[3], steady=states[4],
         front_length=states[5],
         laws=laws, used=np.where(has_strength, np.abs(sheared) / np.where(has_strength, strength, 1.0), np.nan),
-        modulus=2.0 * _in_series(beside["modulus"]), mode_2_modulus=2.0 * _in_series(beside["mode_2_modulus"]),
-        layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
-        shear_speed=beside["shear_speed"], softer=_of_slower(beside["shear_speed"], beside["shear"]),
-        impedance=_in_series(beside["impedance"]),
+        modulus=2.0 * _in_series(rock["modulus"][sides]), mode_2_modulus=2.0 * _in_series(rock["mode_2_modulus"][sides]),
+        layer=_in_series(rock["modulus"][sides] * _depths(mesh, length)),
+        shear_speed=speed, softer=_of_slower(speed, rock["shear"][sides]), impedance=_in_series(rock["impedance"][sides]),
         mass=_in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
         component=component, reach=reach, is_held=_held(scene, mesh),
     )  # fmt: skip
+
+
+def joints_of_tables(scene: Scene, mesh: SplitMesh) -> list[tuple[Fracture, Ints]]:
+    """The tables of the fractures of a mesh, each with the joints (n,) that it is of, ascending."""
+    tables = [scene.fracture_named(name) for name in mesh.fractures]
+    known = {id(table): table for table in tables}  # most fractures of a network have one
+    number = {key: row for row, key in enumerate(known)}
+    of_joint = np.array([number[id(table)] for table in tables], dtype=np.int64)[mesh.joint_fracture]
+    return [(table, np.flatnonzero(of_joint == row)) for row, table in enumerate(known.values())]
+
+
+def at_ends(mesh: SplitMesh, tables: Sequence[tuple[Fracture, Ints]], key: str) -> Floats:
+    """The value (j, 2) that a key has in the table of each joint, at its ends; NaN where it has none, or is not among them."""
+    values = np.full(mesh.joint_along.shape, np.nan)
+    for table, joints in tables:
+        values[joints] = sample(getattr(table, key, None), mesh.joint_along[joints])
+    return values
 
 
 def initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:
@@ -131,65 +144,57 @@ def initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:
     sigma = initial_stress(scene, places)[..., :2, :2]
     frame = np.repeat(facet.frame(places)[0], 2, axis=0)
     traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2)).reshape(*places.shape[:2], 2)
-    found = []
-    for key, own in (
-        ("initial_shear_traction", traction[..., 0]),
-        ("initial_normal_traction", traction[..., 1] + initial_pressure(scene, places)),
-    ):
-        given = np.full(own.shape, np.nan)
-        for number, name in enumerate(mesh.fractures):
-            here = mesh.joint_fracture == number
-            given[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
-        found.append(np.where(np.isnan(given), own, given))
-    return found[0], found[1]
+    tables = joints_of_tables(scene, mesh)
+    shear, normal = (at_ends(mesh, tables, f"initial_{part}_traction") for part in ("shear", "normal"))
+    shear = np.where(np.isnan(shear), traction[..., 0], shear)
+    return shear, np.where(np.isnan(normal), traction[..., 1] + initial_pressure(scene, places), normal)
 
 
 def _of_laws(
-    scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], sheared: Floats, normal: Floats
+    mesh: SplitMesh, tables: Sequence[tuple[Fracture, Ints]], sheared: Floats, normal: Floats
 ) -> tuple[Floats, ...]:
     """Fall of strength (j, 2) under initial tractions f_s0 and f_n0 (j, 2), and the slip (j, 2) over which it comes.
 
     Then direct and evolution effect, slip of evolution, theta at the start and V theta/D_c of friction with a state, and
     slip of evolution at a front.
     """
-    pressed = np.maximum(-normal, 0.0)
-    found = tuple(np.full_like(pressed, value) for value in (0.0, np.inf, 0.0, 0.0, np.inf, np.nan, np.nan, np.inf))
-    of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
-    for name in sorted(set(of_fracture)):
-        here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
-        given = {
-            each: ends("friction" if each == "friction_coefficient" else each)[here].ravel()
-            for each in (*_numbers_of(name), "normal_stiffness", "shear_stiffness", "aperture")
-            if each in {field.name for field in parameters_of(JOINT_LAWS[name])}
-        }
-        law, pressures = make_law(name, **given), pressed[here].ravel()
-        count = len(pressures)
-        past = law.initial_history(count, 2)
-        values = law.strength_drop(pressures), law.slip_length(count), *law.rate_effects(pressures)
-        evolves = law.state_length(past) if law.creeps else np.full(count, np.inf)
-        for into, each in zip(found, (*values, evolves), strict=False):
-            into[here] = each.reshape(-1, 2)
-        if law.creeps:
-            tractions = dict(initial_normal_traction=normal[here].ravel(), initial_shear_traction=sheared[here].ravel())
-            of_scene = make_law(name, **given, **tractions, **_choices(scene, mesh, name, here))
-            start = of_scene.initial_history(count, 2)
-            rate, age = of_scene.slip_rate(start), of_scene.contact_age(start)
-            found[5][here], found[6][here] = age.reshape(-1, 2), (rate * age / evolves).reshape(-1, 2)
-            found[7][here] = of_scene.front_length(start).reshape(-1, 2)
-    return found
+    creeps, shape = any(JOINT_LAWS[table.law].creeps for table, _ in tables), normal.shape
+    found = [np.full(shape, value) for value in (0.0, np.inf)]
+    states = (0.0, 0.0, np.inf, np.nan, np.nan, np.inf)
+    found += [np.full(shape, value) if creeps else np.broadcast_to(value, shape) for value in states]
+    for table, joints in tables:
+        for here in np.split(joints, range(AT_ONCE, len(joints), AT_ONCE)):
+            values = _of_table(table, mesh.joint_along[here], sheared[here], normal[here])
+            for into, each in zip(found if creeps else found[:2], values, strict=False):
+                into[here] = each.reshape(-1, 2)
+    return tuple(found)
+
+
+def _of_table(table: Fracture, along: Floats, sheared: Floats, normal: Floats) -> list[Floats]:
+    """The same (2 n,) of joints of one table, at distances (n, 2) along their fractures; fewer of friction without a state."""
+    law = JOINT_LAWS[table.law]
+    given = {
+        each: sample(getattr(table, "friction" if each == "friction_coefficient" else each), along).ravel()
+        for each in (*_numbers_of(table.law), "normal_stiffness", "shear_stiffness", "aperture")
+        if each in {field.name for field in parameters_of(law)}
+    }
+    made, pressures, count = make_law(table.law, **given), np.maximum(-normal, 0.0).ravel(), normal.size
+    values = [made.strength_drop(pressures), made.slip_length(count), *made.rate_effects(pressures)]
+    if not law.creeps:
+        return values
+    evolves = made.state_length(made.initial_history(count, 2))
+    tractions = dict(initial_normal_traction=normal.ravel(), initial_shear_traction=sheared.ravel())
+    words = [key for key, meaning in keys_of(law).items() if meaning.choices]
+    choices = {key: np.full(count, getattr(table, key, None) or "") for key in words}
+    of_scene = make_law(table.law, **given, **tractions, **choices)
+    start = of_scene.initial_history(count, 2)
+    age = of_scene.contact_age(start)
+    return [*values, evolves, age, of_scene.slip_rate(start) * age / evolves, of_scene.front_length(start)]
 
 
 def _numbers_of(law: str) -> Iterator[str]:
     """Keys of a law whose values are numbers."""
     return (name for name, key in keys_of(JOINT_LAWS[law]).items() if not key.choices)
-
-
-def _choices(scene: Scene, mesh: SplitMesh, law: str, here: Bools) -> dict[str, NDArray[Any]]:
-    """Words of the scene for the keys of a law that are no numbers, at both ends of joints ``here`` (j,)."""
-    names = [key for key, meaning in keys_of(JOINT_LAWS[law]).items() if meaning.choices]
-    tables = [scene.fracture_named(name) for name in mesh.fractures]
-    of_joints = np.repeat(mesh.joint_fracture[here], 2)
-    return {key: np.array([getattr(table, key, None) or "" for table in tables])[of_joints] for key in names}
 
 
 def _of_slower(speed: Floats, values: Floats) -> Floats:
@@ -203,11 +208,6 @@ def _in_series(sides: Floats) -> Floats:
     with np.errstate(divide="ignore"):
         result: Floats = 1.0 / (1.0 / sides).sum(axis=1)
     return result
-
-
-def cell_rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
-    """Properties (m,) of the rock of each cell, as of ``rock_values``."""
-    return {key: values[mesh.cell_rock] for key, values in rock_values(scene, mesh.rocks).items()}
 
 
 def rock_values(scene: Scene, rocks: Sequence[str]) -> dict[str, Floats]:
@@ -231,42 +231,43 @@ def rock_values(scene: Scene, rocks: Sequence[str]) -> dict[str, Floats]:
 
 
 def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats) -> Floats:
-    """Lumped mass per length of joint of the bottom and the top wall (j, 2); of a rigid rock, that of all of it."""
-    is_node = mesh.cells >= 0
-    volume = density * _areas(mesh)
-    count = len(mesh.points)
-    share = (volume / is_node.sum(axis=1))[:, None] * is_node
-    corners = np.where(is_node, mesh.cells, mesh.cells[:, :1])
-    at_node = np.bincount(corners.ravel(), share.ravel(), count)
+    """Lumped mass per length of joint of the bottom and the top wall (j, 2); of a rigid rock, that of all of it.
+
+    density, rigid  (r,) of each rock
+    """
+    at_node = np.zeros(len(mesh.points))
+    for first in range(0, len(mesh.cells), AT_ONCE):
+        cells, rocks = (each[first : first + AT_ONCE] for each in (mesh.cells, mesh.cell_rock))
+        is_node = cells >= 0
+        corners = np.where(is_node, cells, cells[:, :1])
+        share = (density[rocks] * _areas(mesh.points[corners]) / is_node.sum(axis=1))[:, None] * is_node
+        np.add.at(at_node, corners.ravel(), share.ravel())
     faces = np.stack([mesh.joint_bottom, mesh.joint_top], axis=1)  # (j, side, end)
     wall = np.broadcast_to(0.5 * length[:, None, None], faces.shape)
-    of_wall = np.bincount(faces.ravel(), wall.ravel(), count)
-    per_length = np.divide(at_node, of_wall, out=np.zeros(count), where=of_wall > 0.0)[faces].mean(axis=2)
-    rock_area = rock_areas(mesh)
-    for number in range(len(mesh.rocks)):
-        inside = mesh.cell_rock == number
-        if inside.any() and rigid[inside].all():
-            sides = mesh.cell_rock[mesh.joint_cells] == number
-            whole = density[inside][0] * rock_area[number]
-            per_length[sides] = whole / max(float((length[:, None] * sides).sum()), 1e-300)
+    of_wall = np.bincount(faces.ravel(), wall.ravel(), len(at_node))
+    per_length = np.divide(at_node, of_wall, out=np.zeros(len(at_node)), where=of_wall > 0.0)[faces].mean(axis=2)
+    sides, areas = mesh.cell_rock[mesh.joint_cells], rock_areas(mesh)
+    for number in np.unique(sides[rigid[sides] > 0.0]):
+        is_of = sides == number
+        per_length[is_of] = density[number] * areas[number] / max(float((length[:, None] * is_of).sum()), 1e-300)
     return per_length
 
 
-def _areas(mesh: SplitMesh) -> Floats:
-    """Areas (m,) of the cells; a pad is the first node again: its edges add nothing."""
-    x, y = np.moveaxis(mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])], -1, 0)
+def _areas(corners: Floats) -> Floats:
+    """Areas (m,) of cells by their corners (m, c, 2); a pad is the first corner again: its edges add nothing."""
+    x, y = np.moveaxis(corners, -1, 0)
     after = np.roll(np.arange(x.shape[1]), -1)
     return 0.5 * np.abs((x * y[:, after] - x[:, after] * y).sum(axis=1))
 
 
 def _depths(mesh: SplitMesh, length: Floats) -> Floats:
-    """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any, or no cells."""
+    """Depth (j, 2) of the connected blocks beside joints: area over the length of their joints; inf without cells."""
     if is_unmeshed(mesh.cells):
-        return np.full(len(mesh.cells), np.inf)
+        return np.full(mesh.joint_cells.shape, np.inf)
     block, area = block_areas(mesh)
-    along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth: Floats = (area / along)[block]
+    beside = block[mesh.joint_cells]
+    along = np.bincount(beside.ravel(), np.repeat(length, 2), len(area))
+    depth: Floats = area[beside] / along[beside]
     return depth
 
 

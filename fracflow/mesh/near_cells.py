@@ -5,7 +5,6 @@ Whatever lies on near cells has lower numbers than all else, and keeps them when
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,8 @@ from fracflow.mesh.data import Bools, Floats, SplitMesh
 from fracflow.mesh.locate import covering
 
 
-def near_cells(mesh: SplitMesh, places: Floats, rocks: Collection[str] = ()) -> Bools:
-    """Cells (m,) that touch joints, named sides and points, the farthest nodes, or cells at places (p, dim); those of rocks."""
+def near_cells(mesh: SplitMesh, places: Floats) -> Bools:
+    """Cells (m,) that touch joints, named sides and points, the farthest nodes, or cells at places (p, dim)."""
     is_on = np.zeros(len(mesh.points), dtype=bool)
     is_on[mesh.origin[mesh.joint_bottom]] = True
     is_on[mesh.origin[mesh.side_facets]] = True
@@ -25,8 +24,7 @@ def near_cells(mesh: SplitMesh, places: Floats, rocks: Collection[str] = ()) -> 
     for place in places:
         found = covering(mesh.points, mesh.cells, place)
         is_on[corners[found] if found is not None else []] = True
-    chosen = [number for number, name in enumerate(mesh.rocks) if name in rocks]
-    return np.asarray(is_on[corners].any(axis=1) | np.isin(mesh.cell_rock, chosen))
+    return np.asarray(is_on[corners].any(axis=1))
 
 
 def with_near_first(mesh: SplitMesh, is_near: Bools) -> SplitMesh:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.mesh.blocks import Blocks, owner_of
-from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.places import extent_of, place_text
+from fracflow.mesh.blocks import Blocks, SolidBlock, owner_of
+from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.places import place_text
+from fracflow.mesh.slices.directory import Route
+from fracflow.model.solid import summed_at_nodes
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
@@ -84,14 +86,8 @@ def supported(
         bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
         column, centres = (*AXES[:dim], "rotation"), block.body_center[bodies]
         return {part: (block.body_unknown[bodies, column.index(part)], centres) for part in support.components}
-    if name in block.sides:
-        nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
-    elif name in block.rocks:
-        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
-        nodes = nodes[nodes >= 0]
-    elif name in points:
-        nodes = np.flatnonzero(np.isin(block.node_ids, points[name]))
-    else:
+    nodes = nodes_on(block, name, points)
+    if nodes is None:
         known = ", ".join([*block.sides, *block.rocks, *points])
         raise InputError(f'support: on = "{name}": no such side, rock or point (the mesh has: {known})')
     turning = block.body[nodes] >= 0
@@ -103,6 +99,19 @@ def supported(
     return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
 
 
+def nodes_on(block: SolidBlock, name: str, points: Mapping[str, Ints]) -> Ints | None:
+    """Local nodes (n,) of this rank's facets of a side, cells of a rock, or a point; None where the mesh has no such name.
+
+    points  split nodes (n,) of each named point
+    """
+    if name in block.sides:
+        return np.unique(block.side_facets[block.side_of == block.sides.index(name)])
+    if name in block.rocks:
+        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
+        return nodes[nodes >= 0]
+    return np.flatnonzero(np.isin(block.node_ids, points[name])) if name in points else None
+
+
 def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
     """Local numbers (m,) of the numbers (n,) that a rank owns, each once."""
     mine = np.unique(everywhere)
@@ -112,17 +121,23 @@ def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
 def prescribe(
     starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
 ) -> tuple[PrescribedValues, Ints]:
-    """Unknowns of this rank among numbers (n,) found anywhere, but for those taken before; and all taken now. Collective.
+    """Unknowns of this rank among numbers (n,) found anywhere, but for those ``taken`` before; and those taken now. Collective.
 
+    taken  of those of this rank, at least; see ``of_all_ranks``
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """
-    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
-    everywhere, first = np.unique(numbers, return_index=True)
-    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
-    here = is_new & (owner_of(starts, everywhere) == comm.rank)
-    with_it = data[first[here]]
-    numbers, taken = everywhere[here] - starts[comm.rank], np.union1d(taken, everywhere)
-    return PrescribedValues(numbers, _AtPlaces(value, with_it)), taken
+    to_owners = Route(comm, owner_of(starts, found[0]))
+    numbers, data = (to_owners.send(each) for each in found)
+    mine, first = np.unique(numbers, return_index=True)
+    is_new = np.isin(mine, taken, invert=True)  # where two supports meet, the first one holds
+    held = PrescribedValues(mine[is_new] - starts[comm.rank], _AtPlaces(value, data[first[is_new]]))
+    return held, np.union1d(taken, mine)
+
+
+def of_all_ranks(starts: Ints, comm: MPI.Comm, taken: Ints) -> Ints:
+    """Numbers (n,) that are ``taken`` on the rank that owns them, ascending. Collective."""
+    mine = taken[owner_of(starts, taken) == comm.rank]
+    return np.concatenate(comm.allgather(mine))
 
 
 @dataclass(frozen=True)
@@ -169,25 +184,33 @@ def motion(support: Support, part: str) -> SupportMotion:
     return SupportMotion(base, tuple(support.displacement_gradient[AXES.index(part)]))
 
 
-def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) -> Iterator[str]:
+def meeting_supports(scene: Scene, blocks: Blocks, points: Mapping[str, Ints]) -> list[str]:
     """A line for each two supports that move a node in two ways, of which the first holds. Rigid rocks are left out.
 
     points  split nodes (n,) of each named point
+    Collective; every rank has the lines.
     """
-    nodes = [np.unique(np.concatenate([_nodes(scene, mesh, points, name) for name in s.on])) for s in scene.support]
-    for one, other in combinations(range(len(scene.support)), 2):
-        both = np.intersect1d(nodes[one], nodes[other])
-        apart = {part: both[_apart(mesh, scene.support[one], scene.support[other], part, both)] for part in AXES[:2]}
-        found = [part for part, where in apart.items() if len(where)]
-        if found:
-            where = np.unique(np.concatenate(list(apart.values())))
-            at = ", ".join(place_text(place, extent_of(mesh.points)) for place in mesh.points[where[:2]])
-            more = f" and {len(where) - 2} more" if len(where) > 2 else ""
-            yield (
-                f"support.{other} ({', '.join(scene.support[other].on)}) prescribes another displacement in"
-                f" {' and '.join(found)} than support.{one} ({', '.join(scene.support[one].on)}) at nodes of both,"
+    supports, comm, lines = scene.support, blocks.comm, []
+    pairs = [(i, k) for i, k in combinations(range(len(supports)), 2) if _may_differ(supports[i], supports[k])]
+    held = {each: _own_nodes_on(scene, blocks, points, supports[each].on) for each in sorted({*chain(*pairs)})}
+    for one, other in pairs:
+        places = blocks.solid.points[np.intersect1d(held[one], held[other])]
+        apart = np.array([_apart(comm, places, supports[one], supports[other], part) for part in AXES[:2]])
+        where = places[apart.any(axis=0)]
+        first = where[np.lexsort(where.T[::-1])[:2]]  # by place: numbers depend on how a mesh is read
+        are_apart, counts, firsts = zip(*comm.allgather((apart.any(axis=1), len(where), first)), strict=True)
+        count, named = sum(counts), sorted(tuple(place) for each in firsts for place in each)[:2]
+        if count:
+            found = [part for part, is_so in zip(AXES, np.any(are_apart, axis=0), strict=False) if is_so]
+            extent = _extent(blocks)
+            at = ", ".join(place_text(place, extent) for place in named)
+            more = f" and {count - 2} more" if count > 2 else ""
+            lines.append(
+                f"support.{other} ({', '.join(supports[other].on)}) prescribes another displacement in"
+                f" {' and '.join(found)} than support.{one} ({', '.join(supports[one].on)}) at nodes of both,"
                 f" {at}{more}: there the first entry holds; put the one that shall hold first"
             )
+    return lines
 
 
 def refuse_two_pressures(scene: Scene, wells: Mapping[str, tuple[int, ...]]) -> None:
@@ -213,27 +236,48 @@ def overruled_rates(scene: Scene, wells: Mapping[str, tuple[int, ...]]) -> Itera
                 )
 
 
-def _nodes(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints], name: str) -> Ints:
-    if name in mesh.sides:
-        return np.unique(mesh.side_facets[mesh.side_of == mesh.sides.index(name)])
-    if name in mesh.rocks and not scene.rock[name].rigid:
-        nodes = np.unique(mesh.cells[mesh.cell_rock == mesh.rocks.index(name)])
-        return nodes[nodes >= 0]
-    return np.asarray(points.get(name, ()), dtype=np.int64)
+def _may_differ(one: Support, other: Support) -> bool:
+    """Whether two supports prescribe motions along one axis that are not the same."""
+    shared = (part for part in AXES[:2] if part in one.components and part in other.components)
+    return any(motion(one, part) != motion(other, part) for part in shared)
 
 
-def _apart(mesh: SplitMesh, one: Support, other: Support, part: str, nodes: Ints) -> np.ndarray:
-    """Which nodes (n,) two supports move in two ways at any time, along one axis."""
-    is_apart = np.zeros(len(nodes), dtype=bool)
+def _own_nodes_on(scene: Scene, blocks: Blocks, points: Mapping[str, Ints], names: Iterable[str]) -> Ints:
+    """Nodes (n,) that this rank owns on sides, points, and rocks that are not rigid, ascending. Collective.
+
+    Another rank may have the facet or the cell that a node is on.
+    """
+    asked = [name for name in names if name not in scene.rock or not scene.rock[name].rigid]
+    found = [nodes for name in asked if (nodes := nodes_on(blocks.solid, name, points)) is not None]
+    nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))
+    flags = summed_at_nodes(blocks, nodes, np.ones((len(nodes), 1)))
+    return np.flatnonzero(flags[: blocks.solid.owned, 0] > 0.0)
+
+
+def _apart(comm: MPI.Comm, places: Floats, one: Support, other: Support, part: str) -> Bools:
+    """Which nodes (n,) at places (n, dim) two supports move in two ways at any time, along one axis. Collective."""
+    is_apart = np.zeros(len(places), dtype=bool)
     if part not in one.components or part not in other.components:
         return is_apart
-    place = mesh.points[nodes]
-    for time in sorted({0.0, *_times(one), *_times(other)}):
-        moved = (motion(support, part)(time, place, AT_ONCE) for support in (one, other))
-        first, second = (np.broadcast_to(each, len(nodes)) for each in moved)
-        largest = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
-        is_apart |= np.abs(first - second) > APART * largest
+    times = sorted({0.0, *_times(one), *_times(other)})
+
+    def moved(time: float) -> Floats:
+        return np.stack(
+            [np.broadcast_to(motion(each, part)(time, places, AT_ONCE), len(places)) for each in (one, other)]
+        )
+
+    largest = np.array([np.abs(moved(time)).max(initial=0.0) for time in times])
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    for time, size in zip(times, largest, strict=True):
+        is_apart |= np.abs(np.subtract(*moved(time))) > APART * size
     return is_apart
+
+
+def _extent(blocks: Blocks) -> float:
+    """``extent_of`` all nodes. Collective."""
+    signed = np.concatenate([blocks.solid.points, -blocks.solid.points], axis=1).max(axis=0, initial=-np.inf)
+    blocks.comm.Allreduce(MPI.IN_PLACE, signed, MPI.MAX)
+    return float(np.add(*np.split(signed, 2)).max())
 
 
 def _times(support: Support) -> Iterator[float]:

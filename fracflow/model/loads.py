@@ -14,7 +14,7 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.dirichlet import PrescribedValues, motion, own, prescribe, supported
+from fracflow.model.dirichlet import PrescribedValues, motion, of_all_ranks, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
@@ -315,9 +315,9 @@ def assemble_loads(
         tuple(forces),
         tuple(pressures),
         tuple(wells),
-        layout.solid_numbers(taken.astype(np.int64)),
-        layout.flow_numbers(held),
+        layout.solid_numbers(of_all_ranks(starts, comm, taken).astype(np.int64)),
+        layout.flow_numbers(of_all_ranks(layout.flow_starts, comm, held)),
         tuple(limits),
         resting=resting.numbers,
-        fixed_resting=layout.solid_numbers(np.setdiff1d(at_rest, taken).astype(np.int64)),
+        fixed_resting=layout.solid_numbers(of_all_ranks(starts, comm, np.setdiff1d(at_rest, taken)).astype(np.int64)),
     )

@@ -182,20 +182,17 @@ def made_ready(scene: Scene, mesh: SplitMesh) -> SplitMesh:
 
 def looked_at(scene: Scene, mesh: SplitMesh) -> Bools:
     """Cells (m,) of a mesh that must be on rank 0 to find the scene's places, and to check it."""
-    return near_cells(mesh, *places_of(scene, mesh))
+    return near_cells(mesh, places_of(scene, mesh))
 
 
-def places_of(scene: Scene, mesh: SplitMesh) -> tuple[Floats, set[str]]:
-    """Places (p, dim) whose cells that takes, and names of rocks of which it takes all, beside sides; no cell is looked at."""
+def places_of(scene: Scene, mesh: SplitMesh) -> Floats:
+    """Places (p, dim) whose cells that takes, beside those at joints and sides; no cell is looked at."""
     places = []
     for probe in scene.probe:
         with suppress(InputError):  # raised again where it is placed
             what = f"probe.{probe.name}"
             places.append(coordinates(mesh, _asked(scene, probe.at, what, mesh), what))
-    held = {name for support in scene.support for name in support.on} | {
-        name for term in scene.terms for name in term.on
-    }
-    return np.array(places).reshape(-1, mesh.points.shape[1]), held
+    return np.array(places).reshape(-1, mesh.points.shape[1])
 
 
 def fractures_of(scene: Scene) -> set[str]:
@@ -318,7 +315,6 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
             ),
             *meeting_wells(wells, displaced),
             *overruled_rates(scene, wells),
-            *meeting_supports(scene, mesh, points),
         ),
     )
 
@@ -415,7 +411,8 @@ def set_up(
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene) and not scene.is_unbounded:
         operators = redistributed(operators, scene, loads, mesh)
-    lines = [line for term in operators.terms for line in term.notes]
+    lines = meeting_supports(scene, blocks, placed.points)
+    lines += [line for term in operators.terms for line in term.notes]
     lines += operators.far.notes if operators.far is not None else ()
     placed = replace(placed, notes=(*placed.notes, *lines))
     return Model(scene, mesh, placed, operators, loads, scene)

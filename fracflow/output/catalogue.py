@@ -186,5 +186,5 @@ def instant(state: State, snapshot: Snapshot, began: float) -> Instant:
         values.reshape(-1, values.shape[2])
         for values in map(snapshot.column, ("plastic_slip", "shear_traction", "slip_rate"))
     )
-    sliding = snapshot.column("sliding").astype(bool).ravel()
+    sliding = snapshot.flag("sliding").ravel()
     return Instant(state.time, slip, traction, rate, sliding, state.energy, state.injected, began)

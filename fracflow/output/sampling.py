@@ -24,8 +24,10 @@ from fracflow.output.unmeshed import far_stress
 from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 
-EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate", "shear_traction")
-"""The values of all joint ends that events and counts need at every step."""
+FLAGS = {"sliding": 1, "open": 2}
+"""Flags of all joint ends that events and counts need at every step, and what they add to one number of an end."""
+EVERY_STEP = ("plastic_slip", "slip_rate")
+"""The values beside them that events need, and the traction before an event and after it, of which there is a catalogue."""
 
 
 class Columns:
@@ -62,7 +64,7 @@ class Sampler:
     aperture  (j, 2) initial aperture at the joint ends, NaN where none is given [length]
     nodes     (n,) owned nodes whose motion probes need
     probed    (k,) joints that end at probes
-    always    columns that events need at every step at all joint ends
+    always    columns that events need at every step at all joint ends, beside ``FLAGS``
     columns   these, and those that probes need; the same on all ranks
     fields    columns of the fields of fractures
     profiles  those of them that profiles keep
@@ -95,6 +97,7 @@ def make_sampler(
     there = {row.name: row for row in rows if _is_anywhere(row, scene, blocks.joints.fractures)}
     default = [name for name, row in there.items() if row.default]
     asked = {q for p in scene.probe if isinstance(places[p.name], FracturePlace) for q in p.quantities or default}
+    always = (*EVERY_STEP, *(("shear_traction",) if any(stage.kind == "auto" for stage in scene.stage) else ()))
     is_everywhere = bool(places) and is_unmeshed(blocks.solid.cells)  # each jump moves all of the rock
     return Sampler(
         operators,
@@ -102,8 +105,8 @@ def make_sampler(
         along_fractures(blocks, scene, "aperture", np.array([-1.0, 1.0])),
         np.flatnonzero(is_everywhere | np.isin(blocks.solid.node_ids[: blocks.solid.owned], _nodes(places))),
         np.flatnonzero(np.isin(blocks.joints.ids, joints)),
-        Columns(EVERY_STEP, dim),
-        Columns((*EVERY_STEP, *(name for name in there if name in asked and name not in EVERY_STEP)), dim),
+        Columns(always, dim),
+        Columns((*always, *(name for name in there if name in asked and name not in always)), dim),
         Columns((name for name, row in there.items() if row.field), dim),
         Columns((name for name, row in there.items() if row.field and name.startswith(KEPT)), dim),
         {
@@ -228,7 +231,8 @@ class JointEnds:
 class Snapshot:
     """A state on rank 0.
 
-    ends    (joints, 2, width of ``always``) in original order
+    ends    (joints, 2, 1 + width of ``always``) in original order, the sum of ``FLAGS`` first
+    margin  smallest distance of a status from its threshold
     probed  joint -> (2, width of ``columns``) at the joints that end at probes
     nodes   node -> (3, dim) its displacement, velocity and acceleration
     least   number of joint ends that conduct by their minimum aperture, and the most that flows through one
@@ -241,18 +245,18 @@ class Snapshot:
     ends: Floats
     probed: Mapping[int, Floats]
     nodes: Mapping[int, Floats]
+    margin: float
     least: tuple[int, float] = (0, 0.0)
     wells: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     far: Floats = field(default_factory=lambda: np.zeros(3))
 
     def column(self, name: str) -> Floats:
-        """One quantity of every step at all joint ends (joints, 2), a vector along fractures (joints, 2, dim-1)."""
-        return self.always.of(self.ends, name)
+        """A vector along fractures of every step at all joint ends (joints, 2, dim-1)."""
+        return self.always.of(self.ends[..., 1:], name)
 
-    @cached_property
-    def margin(self) -> float:
-        """Smallest distance of a status from its threshold."""
-        return float(self.column("margin").min(initial=np.inf))
+    def flag(self, name: str) -> Bools:
+        """One of ``FLAGS`` at all joint ends (joints, 2)."""
+        return np.asarray((self.ends[..., 0].astype(np.int8) & FLAGS[name]) > 0)
 
     def at_place(self, place: FracturePlace) -> Floats:
         """All ``columns`` (width,) at a place: means over its (k,) joint ends, or interpolated between two."""
@@ -272,21 +276,26 @@ class StateSampler:
         """Gather the values for probes and events; None off rank 0."""
         sampler, blocks = self.sampler, self.sampler.operators.blocks
         table = sampler.columns.fill(self.ends)
-        ends = blocks.gather(blocks.joints.ids, table[:, :, : sampler.always.width], blocks.sizes.joints)
+        sections = self.ends.sections
+        sums = FLAGS["sliding"] * sections.is_sliding + FLAGS["open"] * sections.is_open
+        watched = np.concatenate([sums[..., None], table[:, :, : sampler.always.width]], axis=2)
+        ends = blocks.gather(blocks.joints.ids, watched, blocks.sizes.joints)
         here = (
             blocks.joints.ids[sampler.probed],
             table[sampler.probed],
             blocks.solid.node_ids[sampler.nodes],
             self._motion(sampler.nodes),
+            float(sections.margin.min(initial=np.inf)),
         )
         least, wells = self.ends.at_least(), self._at_wells()
         parts = gathered(here, blocks.comm)
         if parts is None or ends is None:
             return None
-        joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
-        nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
+        joints = {int(n): v for numbers, rows, *_ in parts for n, v in zip(numbers, rows, strict=True)}
+        nodes = {int(n): v for _, _, numbers, rows, _ in parts for n, v in zip(numbers, rows, strict=True)}
+        margin = float(np.min([part[-1] for part in parts]))
         far = far_stress(sampler.scene, self.state.time, self.state.controls)
-        return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells, far)
+        return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, margin, least, wells, far)
 
     def _at_wells(self) -> dict[str, tuple[float, float]]:
         """Mean pressure of each well, and what enters at its nodes."""
@@ -351,4 +360,4 @@ def at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int) -> Floats
 
 def any_at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int) -> Bools:
     """Which fracture nodes (count,) have a joint end where a flag is set."""
-    return np.bincount(inverse, weights=snapshot.column(name).ravel(), minlength=count) > 0
+    return np.bincount(inverse, weights=snapshot.flag(name).ravel(), minlength=count) > 0

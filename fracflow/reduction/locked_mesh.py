@@ -21,6 +21,7 @@ from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.split import groups, merged_faces
 from fracflow.mesh.whole import rock_areas
 from fracflow.model.contact_mass import redistributes
+from fracflow.model.dirichlet import nodes_on
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
@@ -29,7 +30,6 @@ from fracflow.reduction.decision import LockedFractures, ReductionInput
 from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.reduction.prepare import prepare
 from fracflow.reduction.sliced import InPieces, Kept, Whole
-from fracflow.reduction.unloaded_blocks import named_nodes
 
 if TYPE_CHECKING:
     from fracflow.mesh.slices.beside import CellsBeside
@@ -81,6 +81,7 @@ def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
     least = np.einsum("sii->si", tangent).min(axis=1, initial=inf)
     shear = np.linalg.norm(joints.initial[:, :-1], axis=1)
     known = replace(known, stiffness=-_largest(model, -least, count), shear=_largest(model, shear, count))
+    known = replace(known, held=_to_held(model))
     fracture = np.repeat(ops.blocks.joints.fracture, joints.points)
 
     def use(stress: Floats) -> Floats:
@@ -94,7 +95,7 @@ def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
 
 
 def _of_mesh(model: Model) -> Fractures | None:
-    """Values of fractures from the mesh, on rank 0; stiffness and shear are 1 and 0. None for too many fractures."""
+    """Values of fractures from the mesh, on rank 0; those of ranks are yet 1, 0 and infinite. None for too many fractures."""
     mesh, scene, placed = model.mesh, model.scene, model.placed
     assert mesh is not None
     count, fracture = len(mesh.fractures), mesh.joint_fracture
@@ -129,7 +130,7 @@ def _of_mesh(model: Model) -> Fractures | None:
         length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
-        held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
+        held=np.full(count, inf), probed=_to_probes(mesh, [place.point for place in probes]),
         area=float(areas.sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float(plane_strain_modulus(young, poisson).max(initial=0.0)),
@@ -137,20 +138,36 @@ def _of_mesh(model: Model) -> Fractures | None:
     )  # fmt: skip
 
 
-def _to_held(model: Model, mesh: SplitMesh) -> Floats:
-    """Distance (f,) to supports and terms that hold sides, on average along each fracture; infinite without any."""
-    scene, held = model.scene, [np.zeros(0, dtype=np.int64)]
+def _to_held(model: Model) -> Floats:
+    """Distance (f,) to supports and terms that hold sides, on average along each fracture; infinite without any. Collective."""
+    scene, blocks = model.scene, model.operators.blocks
+    solid, joints, comm = blocks.solid, blocks.joints, blocks.comm
+    held = [np.zeros(0, dtype=np.int64)]
     for on in (*(each.on for each in scene.support), *(term.on for term in scene.terms if term.holds)):
-        held += [named_nodes(model, mesh, name) for name in on]
-    nodes, count = np.unique(np.concatenate(held)), len(mesh.fractures)
-    if not len(nodes):
-        return np.full(count, inf)
+        held += [nodes for name in on if (nodes := nodes_on(solid, name, model.placed.points)) is not None]
+    nodes = np.unique(np.concatenate(held))
+    if not comm.allreduce(len(nodes)):
+        return np.full(len(joints.fractures), inf)
+    _, one, end = np.unique(solid.origin[joints.bottom], return_index=True, return_inverse=True)
+    places = solid.points[joints.bottom.ravel()[one]]
+    away = _nearest(comm, solid.points[nodes], places)[end.reshape(joints.bottom.shape)].mean(axis=1)
+    _, length = facet.frame(solid.points[joints.bottom])
+    sums = np.zeros((2, len(joints.fractures)))
+    np.add.at(sums.T, joints.fracture, np.column_stack([away * length, length]))
+    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    return np.asarray(sums[0] / np.maximum(sums[1], NONE))
+
+
+def _nearest(comm: MPI.Comm, points: Floats, places: Floats) -> Floats:
+    """Distance (q,) of each of this rank's ``places`` (q, dim) from the nearest of the points (n, dim) of all. Collective."""
     from scipy.spatial import KDTree
 
-    away = KDTree(mesh.points[nodes]).query(mesh.points[mesh.flow_origin])[0][mesh.joint_flow].mean(axis=1)
-    _, length = facet.frame(mesh.points[mesh.joint_bottom])
-    whole = np.bincount(mesh.joint_fracture, length, count)
-    return np.asarray(np.bincount(mesh.joint_fracture, away * length, count) / np.maximum(whole, NONE))
+    tree, found = KDTree(points) if len(points) else None, np.zeros(len(places))
+    for rank in range(comm.size):  # the places of one rank at a time, for which all look
+        asked = comm.bcast(places, root=rank)
+        away = np.full(len(asked), inf) if tree is None else tree.query(asked)[0]
+        comm.Reduce(away, found, MPI.MIN, root=rank)
+    return found
 
 
 def _to_probes(mesh: SplitMesh, points: Sequence[Floats]) -> Floats:

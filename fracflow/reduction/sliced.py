@@ -80,10 +80,9 @@ class InFile:
         names = raw.facets.rows
         scene.check_mesh_names(names.rocks, names.fractures, names.sides, tuple(names.named_points))
         frame = frame_of(raw, fractures_of(scene))
-        asked = comm.bcast(on_root(comm, lambda: None if frame is None else places_of(scene, frame)), root=0)
-        assert asked is not None
-        places, rocks = asked
-        found = with_near_first(raw, places, [number for number, name in enumerate(names.rocks) if name in rocks])
+        places = comm.bcast(on_root(comm, lambda: None if frame is None else places_of(scene, frame)), root=0)
+        assert places is not None
+        found = with_near_first(raw, places)
         del raw  # which is as large as the slices
         if found is None:
             return _on_root(scene, comm, on_root(comm, lambda: load_mesh(saved.path, saved.root)))

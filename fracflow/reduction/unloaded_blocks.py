@@ -9,12 +9,14 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.agreement import on_root
+from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Bools, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
+from fracflow.mesh.slices.directory import Route
 from fracflow.mesh.whole import blocks_with
-from fracflow.model.dirichlet import PrescribedValues, own
+from fracflow.model.dirichlet import PrescribedValues, of_all_ranks
 from fracflow.model.setup import Model
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
 from fracflow.scene.boundary import Support
@@ -59,7 +61,7 @@ def idle_pieces(model: Model) -> tuple[Bools, UnloadedBlocks]:
         return none, UnloadedBlocks(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):
-        loaded[part[named_nodes(model, mesh, name, with_rocks=False)]] = True
+        loaded[part[_side_nodes(model, mesh, name)]] = True
         if name in mesh.rocks:
             loaded[part_of[blocks_with(mesh, mesh.rocks.index(name))]] = True
     flow = np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)
@@ -89,14 +91,11 @@ def parts(mesh: SplitMesh, tied: Ints) -> tuple[Ints, Ints]:
     return components(piece[one], piece[other], count), piece
 
 
-def named_nodes(model: Model, mesh: SplitMesh, name: str, with_rocks: bool = True) -> np.ndarray:
-    """Nodes (n,) of a side, a point or, ``with_rocks``, a rock, of which rank 0 must have all; a name may be of several."""
+def _side_nodes(model: Model, mesh: SplitMesh, name: str) -> Ints:
+    """Nodes (n,) of a side or a point; a name may be of both."""
     chosen = [np.zeros(0, dtype=np.int64)]
     if name in mesh.sides:
         chosen.append(mesh.side_facets[mesh.side_of == mesh.sides.index(name)].ravel())
-    if with_rocks and name in mesh.rocks:
-        cells = mesh.cells[mesh.cell_rock == mesh.rocks.index(name)]
-        chosen.append(cells[cells >= 0])
     if name in model.placed.points:
         chosen.append(model.placed.points[name])
     return np.concatenate(chosen)
@@ -111,10 +110,11 @@ def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     here = idle[block.piece]
     bodies = np.unique(block.body[here & (block.body >= 0)])
     unknowns = np.concatenate([block.unknown[here].ravel(), block.body_unknown[bodies].ravel()])
-    everywhere = np.unique(np.concatenate(comm.allgather(unknowns[unknowns >= 0])))
+    unknowns, starts = unknowns[unknowns >= 0].astype(np.int64), block.unknown_starts
+    numbers = np.unique(Route(comm, owner_of(starts, unknowns)).send(unknowns))  # of this rank
     loads, layout = model.loads, model.operators.layout
-    joined = layout.solid_numbers(everywhere.astype(np.int64))
-    mine = own(block.unknown_starts, comm.rank, everywhere)
+    joined = layout.solid_numbers(of_all_ranks(starts, comm, numbers))
+    mine = numbers - starts[comm.rank]
     free = np.setdiff1d(mine, np.concatenate([part.numbers for part in loads.supports]))
     held = replace(
         loads,

@@ -131,7 +131,7 @@ class Recorder:
             self._write(lambda files: files.append(step, snapshot, kind))
         self._goes_on = False
         if snapshot is not None:
-            self.slipping_and_open = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
+            self.slipping_and_open = int(snapshot.flag("sliding").sum()), int(snapshot.flag("open").sum())
         if self._wants_fields(self.totals.steps):
             self._fields(sample, self.totals.steps)
         self._profile(sample, kind)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from resealed import resealed
 from test_cut import _grid
-from test_near_cells import SCENE, _assert_same
+from test_near_cells import LAW, SCENE, _assert_same
 
 from fracflow._petsc import MPI
 from fracflow.diagnostics import pre_run_checks
@@ -28,6 +28,7 @@ from fracflow.mesh.whole import blocks_with
 from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
 from fracflow.reduction.prepare import read_uncut
+from fracflow.reduction.sliced import InFile
 from fracflow.reduction.unloaded_blocks import parts
 from fracflow.reduction.unresolved import unresolved
 from fracflow.scene.scene import Scene, load
@@ -57,9 +58,7 @@ def _sliced(scene, path, near=-1):
     """Near cells, slices and blocks by the slices of a file."""
     raw = read(COMM, SavedMesh(path, near=near))
     frame = frame_of(raw, fractures_of(scene))
-    places, rocks = COMM.bcast(places_of(scene, frame) if COMM.rank == 0 else None, root=0)
-    names = raw.facets.rows.rocks
-    return near_of(raw, places, [number for number, name in enumerate(names) if name in rocks])
+    return near_of(raw, COMM.bcast(places_of(scene, frame) if COMM.rank == 0 else None, root=0))
 
 
 def _gathered(near, blocks):
@@ -144,8 +143,8 @@ def test_a_run_that_goes_on_keeps_its_numbers(sliced, shared_tmp):
     if whole.near < len(whole.cells):
         far = whole.points[whole.cells[whole.near][:3]].mean(axis=0)
         raw = read(COMM, SavedMesh(shared_tmp / "mesh.h5", near=whole.near))
-        assert near_of(raw, far[None], []) is None
-        assert near_of(read(COMM, SavedMesh(shared_tmp / "kept.h5")), far[None], []) is not None
+        assert near_of(raw, far[None]) is None
+        assert near_of(read(COMM, SavedMesh(shared_tmp / "kept.h5")), far[None]) is not None
 
 
 def test_the_file_of_a_run_is_that_of_the_whole_mesh(sliced, shared_tmp):
@@ -175,25 +174,29 @@ def test_cells_are_cut_alike_whichever_rank_has_read_them():
     assert np.ptp(counts) <= 4
 
 
-def test_no_rank_has_more_than_its_part(shared_tmp):
-    """Memory of each rank while it reads and distributes 22 500 cells, those at a side near: so much for a cell of its own."""
-    count = 150
+def _square(count):
+    """A mesh of one rock with ``count`` squared cells and a side, on every rank."""
     _, whole, _ = _whole("hard corner")
     at = np.arange(count + 1.0)
     points = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
     corner = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
     cells = np.stack([corner, corner + count + 1, corner + count + 2, corner + 1], axis=1)
     none = np.zeros(0, dtype=np.int64)
-    large = replace(
+    return replace(
         whole, points=points, origin=np.arange(len(points)), cells=cells, cell_rock=np.zeros(len(cells), dtype=np.int64),
         joint_bottom=none.reshape(-1, 2), joint_top=none.reshape(-1, 2), joint_cells=none.reshape(-1, 2),
         joint_flow=none.reshape(-1, 2), joint_fracture=none, joint_along=np.zeros((0, 2)), flow_origin=none,
         side_facets=np.stack([np.arange(count), np.arange(1, count + 1)], axis=1), side_cell=np.arange(count),
         side_of=np.zeros(count, dtype=np.int64), named_points={},
     )  # fmt: skip
-    path = _saved(large, shared_tmp / "large.h5")
+
+
+def test_no_rank_has_more_than_its_part(shared_tmp):
+    """Memory of each rank while it reads and distributes 22 500 cells, those at a side near: so much for a cell of its own."""
+    large = _square(150)
+    path, cells, points = _saved(large, shared_tmp / "large.h5"), large.cells, large.points
     tracemalloc.start()
-    near, slices = near_of(read(COMM, SavedMesh(path)), np.zeros((0, 2)), [])
+    near, slices = near_of(read(COMM, SavedMesh(path)), np.zeros((0, 2)))
     blocks = distribute_slices(near, slices)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -201,6 +204,20 @@ def test_no_rank_has_more_than_its_part(shared_tmp):
     longest = max(len(each) for each in vars(slices).values() if isinstance(each, np.ndarray))
     assert longest <= 1.1 * len(points) / COMM.size
     assert peak < 650 * len(cells) / COMM.size
+
+
+def test_near_cells_do_not_grow_with_a_rock_that_is_supported(shared_tmp):
+    """Rank 0 has the cells at the side and one at the farthest node from it: 21 of 400, 41 of 1600."""
+    stage = [{"kind": "quasi-static", "time_step": 1.0, "steps": 1}]
+    scene = Scene.from_data({
+        "mesh": {"file": "kept.h5"}, "rock": SCENE["rock"], "fracture": {"default": LAW}, "stage": stage,
+        "support": [{"on": "soft"}], "load": [{"on": "soft", "force": [1.0, 0.0]}],
+    })  # fmt: skip
+    for count in (20, 40):
+        path = _saved(_square(count), shared_tmp / f"kept{count}.h5")
+        near, _, blocks = InFile(SavedMesh(path)).taken(scene, COMM)
+        assert blocks.sizes.cells == count**2
+        assert near is None or len(near.cells) == count + 1
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,14 +49,14 @@ class Slices:
         return self.nodes.comm
 
 
-def with_near_first(raw: Raw, places: Floats, rocks: Collection[int]) -> tuple[SplitMesh | None, Slices] | None:
+def with_near_first(raw: Raw, places: Floats) -> tuple[SplitMesh | None, Slices] | None:
     """The mesh of near cells, on rank 0, and slices of all. Raises InputError, on every rank. Collective.
 
-    Near cells are those of ``near_cells``, at places (p, dim) too and of rocks by their numbers. In a run that goes on they
-    are those that came first in it. There is none where a place lies in others: None.
+    Near cells are those of ``near_cells``, at places (p, dim) too. In a run that goes on they are those that came first in
+    it. There is none where a place lies in others: None.
     """
     comm, near = raw.cells.comm, raw.saved.near
-    is_near = _near_cells(raw, places, rocks)
+    is_near = _near_cells(raw, places)
     if near >= 0:
         is_first = raw.cells.numbers < near
         if comm.allreduce(bool((is_near & ~is_first).any()), op=MPI.LOR):
@@ -81,7 +80,7 @@ def with_near_first(raw: Raw, places: Floats, rocks: Collection[int]) -> tuple[S
     return _near_mesh(slices, near_nodes), slices
 
 
-def _near_cells(raw: Raw, places: Floats, rocks: Collection[int]) -> Bools:
+def _near_cells(raw: Raw, places: Floats) -> Bools:
     """Which cells (m,) of this rank's range are near. Collective."""
     rows = raw.facets.rows
     named = [each for each in rows.named_points.values() if raw.nodes.comm.rank == 0]
@@ -97,7 +96,7 @@ def _near_cells(raw: Raw, places: Floats, rocks: Collection[int]) -> Bools:
     flags[copies] = of_copies
     is_on = raw.nodes.look_up(flags, raw.corner) > 0
     first = np.where(raw.local >= 0, raw.local, raw.local[:, :1])
-    return np.asarray(is_on[first].any(axis=1) | np.isin(raw.rock, list(rocks)))
+    return np.asarray(is_on[first].any(axis=1))
 
 
 def _extremes(raw: Raw) -> tuple[Floats, Floats, Ints]:
