@@ -20,11 +20,24 @@ _fracflow_missing() {
   done
 }
 
+# Runs a command as the only one for this folder: of two setups side by side the second waits for the first.
+_fracflow_alone() {
+  command -v flock >/dev/null || { "$@"; return; }
+  (
+    flock -n 9 || { echo "setup: waiting for another setup of $_fracflow_root"; flock 9; }
+    "$@" 9>&-
+  ) 9>"$_fracflow_root/.venv.lock"
+}
+
 _fracflow_install_system() {
+  [ -z "$(_fracflow_missing)" ] || _fracflow_alone _fracflow_install_packages
+}
+
+_fracflow_install_packages() {
   local missing sudo=""
   missing=$(_fracflow_missing)
   missing=${missing% }
-  [ -n "$missing" ] || return 0
+  [ -n "$missing" ] || return 0 # another setup has installed it meanwhile
   if [ "$(id -u)" != 0 ]; then
     if sudo -n true 2>/dev/null; then
       sudo="sudo -n"
@@ -48,12 +61,25 @@ _fracflow_stamp() {
     pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
 }
 
+_fracflow_is_ready() {
+  [ "$(cat "$_fracflow_root/.venv/$1" 2>/dev/null)" = "$2" ]
+}
+
 _fracflow_install_python() {
-  local venv=$_fracflow_root/.venv stamp pin system tests="" file=.fracflow-stamp
+  local stamp tests="" file=.fracflow-stamp
   [ -z "${FRACFLOW_TESTS:-}" ] || { tests=scripts/constraints-test.txt; file=.fracflow-stamp-tests; }
   stamp=$(_fracflow_stamp $tests)
-  [ "$(cat "$venv/$file" 2>/dev/null)" = "$stamp" ] && return 0
-  echo "setup: preparing $venv"
+  _fracflow_is_ready $file "$stamp" || _fracflow_alone _fracflow_fill_venv $file "$stamp" $tests
+}
+
+_fracflow_fill_venv() {
+  _fracflow_is_ready "$1" "$2" && return 0 # another setup has made it meanwhile
+  echo "setup: preparing $_fracflow_root/.venv"
+  _fracflow_make_venv "$@"
+}
+
+_fracflow_make_venv() {
+  local venv=$_fracflow_root/.venv file=$1 stamp=$2 tests=${3:-} pin system
   # The system's own Python by its full path: its petsc4py works with no other.
   local clear=--clear
   grep -qs '^home = /usr/bin$' "$venv/pyvenv.cfg" && clear=""

@@ -207,3 +207,21 @@ def test_a_job_that_would_fail_again_is_not_put_back(tmp_path):
     said = done.communicate(timeout=60)[0]
     assert done.returncode == 2 and "fracflow: " in said
     assert not (tmp_path / "requeued").exists()
+
+
+def test_of_two_setups_side_by_side_the_second_waits(tmp_path):
+    """Both find no environment; one makes it, the other one says that it waits, and finds it made."""
+    functions = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8").partition("\nexport ")[0]
+    lines = """
+_fracflow_root=$1
+_fracflow_stamp() { echo stamp; }
+_fracflow_make_venv() { mkdir .venv && until [ -e go ]; do sleep 0.05; done; echo stamp > .venv/.fracflow-stamp; }
+_fracflow_install_python
+"""
+    command, plain = ["bash", "-c", functions + lines, "setup", str(tmp_path)], os.environ | {"FRACFLOW_TESTS": ""}
+    look = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "env": plain}
+    with subprocess.Popen(command, **look) as first, subprocess.Popen(command, **look) as second:
+        began = [each.stdout.readline() for each in (first, second)]
+        (tmp_path / "go").touch()
+    assert set(began) == {f"setup: preparing {tmp_path}/.venv\n", f"setup: waiting for another setup of {tmp_path}\n"}
+    assert first.returncode == second.returncode == 0

@@ -12,6 +12,8 @@ from fracflow.elements.shape import shape_at
 from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components
+from fracflow.mesh.places import extent_of, place_text
+from fracflow.mesh.plane.traces import is_within
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | Floats | str | tuple[str, str]
@@ -130,6 +132,29 @@ def _refuse_far(what: str, point: Floats, distance: str, fracture: str | None) -
     raise InputError(
         f"{what}: at = {point.tolist()}: {found} is {distance} away; move it onto {'one' if fracture is None else 'that'}"
     )
+
+
+def refuse_cut_off(
+    mesh: SplitMesh, outline: Floats, point: Floats, what: str, fracture: str | None, unit: str = ""
+) -> None:
+    """Raise InputError, naming ``what``, for a point (2,) on the part of a trace that a side of the domain cuts off.
+
+    outline  (k, 2) corners of the domain; joints at a side may reach a little beyond it
+    """
+    if fracture not in mesh.fractures or is_within(point[None], outline)[0]:
+        return
+    joints = np.flatnonzero(_joints_of(mesh, what, fracture))
+    away = np.linalg.norm(mesh.points[mesh.joint_bottom[joints]] - point, axis=2)
+    row, end = np.unravel_index(np.argmin(away), away.shape)
+    if away.min() > _length(mesh, int(joints[row])):
+        here, there = (
+            place_text(each, extent_of(mesh.points))
+            for each in (point, mesh.points[mesh.joint_bottom[joints[row], end]])
+        )
+        raise InputError(
+            f'{what}: at {here}{unit}: lies outside the domain, at whose side fracture "{fracture}" ends, at {there}{unit}:'
+            " give a place before that, or a geometry.domain that has both"
+        )
 
 
 def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None, unit: str = "") -> FracturePlace:

@@ -25,6 +25,7 @@ from fracflow.mesh.locate import (
     on_fracture,
     point_along,
     probe_place,
+    refuse_cut_off,
     tied_nodes,
 )
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
@@ -279,15 +280,20 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         for kind in ("well", "probe")
         for entry in getattr(scene, kind)
     }
+    on = {f"well.{well.name}": _fracture_of(well.at) for well in scene.well}
+    on |= {f"probe.{probe.name}": probe.on or _fracture_of(probe.at) for probe in scene.probe}
+    for what, at in asked.items():
+        if scene.geometry is not None and not scene.is_unbounded and _is_point(at):
+            refuse_cut_off(mesh, np.array(scene.geometry.outline, dtype=float), np.array(at), what, on[what], unit)
     wells = {
-        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at), unit).flow,)
+        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", on[f"well.{w.name}"], unit).flow,)
         if w.on is None
         else tuple(_ends_on(mesh, w.name, w.on).tolist())
         for w in scene.well
         if scene.has_flow
     }
     probes = {
-        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", p.on or _fracture_of(p.at), unit)
+        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", on[f"probe.{p.name}"], unit)
         for p in scene.probe
     }
     refuse_missing(scene, mesh, probes)

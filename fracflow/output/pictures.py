@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,7 +44,7 @@ _ENERGIES = (
     ("damping", "damped at faults"),
 )
 _OF_WELLS = (("pressure", STRESS), ("rate", FLOW_RATE), ("volume", "length**3"))
-_MOTIONS = ("slip", "opening", "displacement")
+_MOTIONS = ("slip", "opening", "pressure", "displacement")  # walls that rest on each other move with the rock
 _STRESSES = ("pressure", "shear_traction", "normal_traction")
 _CHANGES = ("plastic_slip", "opening", "aperture")
 _MAX_LINES = 7
@@ -52,6 +53,7 @@ _LEAST_SLIP = 1e-6  # of the largest, that is drawn
 _WIDEST = 6.0  # line of slip [points]
 _DECADES = 3.0  # of positive rates, from which on their axis is logarithmic
 _WIDE = 10.0  # figure [inches]: letters are read where a page is 760 pixels wide
+_LETTERS = 26  # of a label beside a panel, which are about as high as so many are long
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -83,9 +85,10 @@ def _overview(run: RunData) -> Figure:
         left, right = figure.subfigures(2, 1, height_ratios=[9.0 * shape + 1.9, 3.0])
         slip, energy, pressure = right.subplots(1, 3)
     draw_head(figure, run.title, run.account)
-    named = {}
+    named, drawn = {}, ""
     if run.probes_with("slip"):
         row = _most_telling(run, _MOTIONS)
+        drawn = row.name
         elastic = ", with its elastic part" if row.name == "slip" else ""
         _draw_probes(slip, run, row, f"{row.axis.capitalize()} at the probes{elastic}")
     else:
@@ -95,7 +98,7 @@ def _overview(run: RunData) -> Figure:
     if run.fractures is not None and run.fractures.has("pressure"):
         named[pressure] = _draw_profiles(pressure, run, QUANTITIES["pressure"])
     else:
-        row = _most_telling(run, _STRESSES)
+        row = _most_telling(run, [name for name in _STRESSES if name != drawn])
         _draw_probes(pressure, run, row, f"{row.axis.capitalize()} at the probes")
     axes = left.subplots()
     scales = _draw_map(axes, run, network)
@@ -203,7 +206,7 @@ def _draw_lines(
     is_held: bool = False,
 ) -> None:
     """Histories, named at their right ends; the largest ones if there are many. Held values are those of steps."""
-    axes.set_title(title)
+    axes.set_title(title, wrap=True)
     span, x = over.steps, over.values
     ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name][span])))[:_MAX_LINES]
     shown = [name for name in lines if name in ranked]
@@ -211,7 +214,7 @@ def _draw_lines(
         _say_nothing(axes)
         return
     if len(shown) < len(lines):
-        axes.set_title(f"{title} ({len(shown)} of {len(lines)})")
+        axes.set_title(f"{title} ({len(shown)} of {len(lines)})", wrap=True)
     scale = axis_of(dimension, [lines[name][span] for name in shown], run.units, run.noise.get(dimension, 0.0))
     drawn = {name: scale(lines[name][span]) for name in shown}
     for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):
@@ -219,7 +222,7 @@ def _draw_lines(
         axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "", drawstyle=look)
     axes.margins(x=0.0)
     axes.set_xlabel(over.label)
-    axes.set_ylabel(scale.label(word))
+    axes.set_ylabel(fill(scale.label(word), _LETTERS, break_long_words=False))
     if dimension == VELOCITY and not scale.is_constant and _spans_decades([lines[name][span] for name in shown]):
         axes.set_yscale("log")
         plain_numbers(axes, "x")
@@ -334,7 +337,7 @@ def _draw_profiles(
         axes.plot(s(along), scale(np.ravel(after)), color=colour)
         drawn[name] = (np.stack([s(along), scale(np.ravel(after))], axis=1), colour)
     axes.set_xlabel(s.label("distance along the fracture"))
-    axes.set_ylabel(scale.label(row.axis))
+    axes.set_ylabel(fill(scale.label(row.axis), _LETTERS, break_long_words=False))
     plain_numbers(axes)
     axes.margins(x=0.0)
     if scale.is_constant:

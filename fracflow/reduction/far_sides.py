@@ -18,7 +18,9 @@ import numpy as np
 
 from fracflow.elements import dislocation
 from fracflow.errors import ReductionInvalid
-from fracflow.mesh.data import Floats
+from fracflow.mesh.agreement import on_root
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import side_names
 from fracflow.model.setup import FarSides, Model
@@ -48,6 +50,9 @@ TIPPED = 12.0  # joints that finer tips add to a fracture
 AT_TIPS = 4.0  # times finer joints at tips than elsewhere
 CLEARLY = 1.25  # times less CPU time of an iteration: prices are as exact as that
 LEAST = 0.01  # CPU s of one: less is not worth another model
+
+Reach = tuple[float, float, str]
+"""Half the extent of a fracture and how far the nearest side is [length], and its name."""
 
 
 def why_meshed(scene: Scene) -> str:
@@ -113,10 +118,15 @@ def _obstacles(scene: Scene) -> Iterator[str]:
 def _free_sides(scene: Scene) -> list[str]:
     """Sides that are not held in both x and y, where there is no inertia."""
     assert scene.geometry is not None
-    held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
-    held |= {(name, part) for support in scene.support for name in support.on for part in support.components}
+    held = _held(scene)
     sides = side_names(np.array(scene.geometry.outline, dtype=float))
     return [side for side in sides if not {(side, "x"), (side, "y")} <= held]
+
+
+def _held(scene: Scene) -> set[tuple[str, str]]:
+    """Sides and the components in which something holds them, where there is no inertia."""
+    held = {(name, part) for each in scene.absorbing for name in each.on for part in "xy"}
+    return held | {(name, part) for support in scene.support for name in support.on for part in support.components}
 
 
 def estimated(scene: Scene) -> float:
@@ -124,7 +134,7 @@ def estimated(scene: Scene) -> float:
     lengths = list(_half_and_distance(scene))
     return _error(
         SHED * sum((half / max(away, ENDS * half)) ** 2 for half, away, _ in lengths),
-        _pressed_back(scene, sum(half**2 for half, _, _ in lengths)),
+        _pressed_back(scene, sum(half**2 for half, _, _ in lengths), _stated_area(scene)),
     )
 
 
@@ -133,13 +143,19 @@ def _error(reaches: float, back: float) -> float:
     return max(ANSWER * reaches, reaches + back)
 
 
-def _pressed_back(scene: Scene, squares: float) -> float:
+def _stated_area(scene: Scene) -> float:
+    """Area of [geometry] [area]."""
+    assert scene.geometry is not None
+    return polygon_area(np.array(scene.geometry.outline, dtype=float))
+
+
+def _pressed_back(scene: Scene, squares: float, area: float) -> float:
     """The stress with which held sides answer open fractures, over what these change [1]; none in a scene without a fluid.
 
     squares  sum of their squared half lengths [area]
+    area     between the sides [area]
     """
-    assert scene.geometry is not None
-    area, nu = polygon_area(np.array(scene.geometry.outline, dtype=float)), _largest_nu(scene)
+    nu = _largest_nu(scene)
     return np.pi * squares / area * (1.0 - nu) / (1.0 - 2.0 * nu) if scene.has_flow else 0.0
 
 
@@ -148,20 +164,39 @@ def _largest_nu(scene: Scene) -> float:
     return max((rock.poissons_ratio or 0.0 for rock in scene.rock.values() if not rock.rigid), default=0.0)
 
 
-def near_sides(scene: Scene) -> list[str]:
-    """A line on what sides change most, if anything: rock that goes on would let fractures slip and open farther."""
-    if scene.geometry is None or scene.is_unbounded:
+def near_sides(model: Model) -> list[str]:
+    """A line on what sides change most, if anything: rock that goes on would let fractures slip and open farther.
+
+    Sides that absorb waves send back little before rest. Collective.
+    """
+    scene, blocks = model.scene, model.operators.blocks
+    if scene.is_unbounded or (scene.absorbing and all(stage.kind == "dynamic" for stage in scene.stage)):
         return []
-    lengths = list(_half_and_distance(scene))
+    if scene.geometry is not None:
+        return _near(scene, list(_half_and_distance(scene)), _stated_area(scene), not _free_sides(scene))
+    if blocks.sizes.dim != 2 or all(rock.rigid for rock in scene.rock.values()):
+        return []
+    boxes = blocks.solid.piece_box
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    wide, tall = (high - low).tolist()
+    keeps_volume = _held_length(scene, blocks) > 2.0 * (1.0 - ENDS) * (wide + tall)
+    lengths = on_root(blocks.comm, lambda: None if model.mesh is None else in_box(model.mesh, low, high))
+    return blocks.comm.bcast(None if lengths is None else _near(scene, lengths, wide * tall, keeps_volume), root=0)
+
+
+def _near(scene: Scene, lengths: list[Reach], area: float, is_held: bool) -> list[str]:
+    """The line on fractures of such ``lengths`` between sides around an area, which are held all round or not."""
     changed = [(ANSWERED * (half / away) ** 2, half, away, name) for half, away, name in lengths if away > ENDS * half]
     near = sorted((each for each in changed if each[0] > ALARMING), reverse=True)
-    keeps_volume = _largest_nu(scene) > BULKY and not _free_sides(scene)
-    back = 0.0 if not keeps_volume else _pressed_back(scene, sum(half**2 for half, _, _ in lengths))
+    keeps_volume = is_held and _largest_nu(scene) > BULKY
+    back = 0.0 if not keeps_volume else _pressed_back(scene, sum(half**2 for half, _, _ in lengths), area)
+    is_drawn = scene.geometry is not None
+    free = 'geometry.domain = "unbounded"' if is_drawn else '[geometry] with domain = "unbounded" in place of [mesh]'
     if back > max([ALARMING, *(each[0] for each in near)]):
         return [
             f"sides: held all round, they keep the volume of the rock. With poissons_ratio = {_largest_nu(scene):g} fractures"
             f" that open wide do so by up to {digits(100 * back / (1 + back))} % less than in rock that goes on there: put"
-            f' the sides {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give geometry.domain = "unbounded"'
+            f" the sides {(back / ALARMING) ** 0.5:.2g} times as far away for a tenth, or give {free}"
         ]
     if not near:
         return []
@@ -171,11 +206,37 @@ def near_sides(scene: Scene) -> list[str]:
     return [
         f"sides: {name}, {digits(2 * half, 3)}{unit} long, comes within {digits(away, 3)}{unit} of a side{others}: if the rock"
         f" goes on there in fact, slip and opening may be off by up to {digits(100 * change / (1 + change))} %; sides"
-        f' {digits(enough)}{unit} away leave a tenth, and geometry.domain = "unbounded" has none'
+        f" {digits(enough)}{unit} away leave a tenth, and {free} has none"
     ]
 
 
-def _half_and_distance(scene: Scene) -> Iterator[tuple[float, float, str]]:
+def in_box(mesh: SplitMesh, low: Floats, high: Floats) -> list[Reach]:
+    """The same as ``_half_and_distance``, of a mesh in a box from ``low`` (2,) to ``high`` (2,).
+
+    A fracture that ends on a side is at 0. A domain of another shape has sides nearer than those of its box.
+    """
+    ends, count = mesh.points[mesh.joint_bottom], len(mesh.fractures)
+    least, most = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    for point in (ends[:, 0], ends[:, 1]):
+        np.minimum.at(least, mesh.joint_fracture, point)
+        np.maximum.at(most, mesh.joint_fracture, point)
+    is_last = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))[mesh.joint_flow] == 1
+    is_open = np.any(is_last & (mesh.joint_bottom != mesh.joint_top), axis=1)  # at a tip in the rock walls share a node
+    away = np.minimum(least - low, high - most).min(axis=1)
+    away[mesh.joint_fracture[is_open]] = 0.0
+    half = 0.5 * np.linalg.norm(most - least, axis=1)
+    return [(h, d, name) for h, d, name in zip(half.tolist(), away.tolist(), mesh.fractures, strict=True) if h >= 0.0]
+
+
+def _held_length(scene: Scene, blocks: Blocks) -> float:
+    """How long the named sides are together that are held in x and y [length]. Collective."""
+    held, solid = _held(scene), blocks.solid
+    chosen = np.array([{(side, "x"), (side, "y")} <= held for side in solid.sides], dtype=bool)[solid.side_of]
+    ends = solid.points[solid.side_facets[chosen][:, :2]]
+    return float(blocks.comm.allreduce(float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum())))
+
+
+def _half_and_distance(scene: Scene) -> Iterator[Reach]:
     """Half the extent of each fracture, how far the nearest side is [length], and its name."""
     assert scene.geometry is not None
     for trace in scene.geometry.fracture:
@@ -304,7 +365,7 @@ def error_of_sides(model: Model, state: State) -> float:
         most = float((np.abs(0.5 * (xx + yy)) + np.hypot(0.5 * (xx - yy), xy)).max())
         facing = (ends[:, 1] - ends[:, 0]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])  # normals, as long as the joints
         opened = abs(float((facing * jumps.mean(axis=1)).sum()))
-        area, nu = polygon_area(np.array(model.bounded.geometry.outline, dtype=float)), _largest_nu(model.scene)
+        area, nu = _stated_area(model.bounded), _largest_nu(model.scene)
         stiff = rock.plane_strain_modulus * (1.0 - nu) / (2.0 * (1.0 - 2.0 * nu))  # lambda + G
         length = np.linalg.norm(facing, axis=1)
         total = float(length @ np.linalg.norm(jumps, axis=2).mean(axis=1))

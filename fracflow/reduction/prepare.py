@@ -90,9 +90,9 @@ def prepare(
 
 
 def _with_note(model: Model) -> Model:
-    """The model with a line on sides that are near, or on the mesh that its events would have."""
+    """The model with a line on sides that are near, or on the mesh that its events would have. Collective."""
     if not model.scene.is_unbounded:
-        notes = (*model.placed.notes, *near_sides(model.scene))
+        notes = (*model.placed.notes, *near_sides(model))
         return replace(model, placed=replace(model.placed, notes=notes))
     from fracflow.reduction.event_mesh import before_events  # few runs need it
 

@@ -176,8 +176,11 @@ def _coarse_beside(view: CheckInput, beside: Beside | None) -> list[str]:
     """
     if beside is None:
         return []
-    growth = getattr(view.scene.geometry, "growth", None)
-    remedy = "refine" if growth is not None and growth <= GENTLE else f"geometry.growth = {GENTLE:g}, or refine"
+    geometry = view.scene.geometry
+    remedy = "give a [mesh] whose cells grow by less there, or refine"
+    if geometry is not None:
+        is_gentle = geometry.growth is not None and geometry.growth <= GENTLE
+        remedy = "refine" if is_gentle else f"geometry.growth = {GENTLE:g}, or refine"
     return [
         f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
         f" {reach:.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"

@@ -10,7 +10,7 @@ from fracflow.errors import InputError
 from fracflow.integrators import keys_of, with_inertia
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import check_flow
-from fracflow.scene.messages import nearest
+from fracflow.scene.messages import nearest, numbered
 from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
 from fracflow.scene.tables import Tables
@@ -320,9 +320,12 @@ def check_mesh_names(
     scene: Tables, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
 ) -> None:
     """Compare the names a scene uses with those its mesh has; raises InputError for the first stranger."""
+    unnamed = {"support": scene.support, "load": scene.load, "tie": scene.tie, **scene.term_tables}
     for place, name, allowed in _used_names(scene, rocks, fractures, sides, points):
         if name not in allowed:
-            raise InputError(f'{scene.source}: {place} = "{name}": not in the mesh; {nearest(name, allowed)}')
+            key, _, rest = place.partition(".")
+            which = numbered(key, rest.partition(".")[0], len(unnamed[key])) if key in unnamed else ""
+            raise InputError(f'{scene.source}: {place} = "{name}": not in the mesh{which}; {nearest(name, allowed)}')
     for kind, names, known in (("rock", rocks, scene.rock), ("fracture", fractures, scene.fracture)):
         for name in names:
             if name not in known and not (kind == "fracture" and "default" in known):

@@ -60,12 +60,30 @@ def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseMo
         path = (*path, context["key"])
     more = others(len(errors) - 1)
     whole = first["type"] == "fracflow" and path == first["loc"] and "text" in context
-    return f"{written(path, data, whole)}: {_what(first, path, data, model)}{more}"
+    return f"{written(path, data, whole)}: {_what(first, path, data, model)}{_counted(path, data)}{more}"
 
 
 def others(count: int) -> str:
     """How many more errors a scene has, behind the first of them."""
     return f" (and {count} more error{'s' if count > 1 else ''})" if count else ""
+
+
+def _counted(path: Path, data: Mapping[str, Any]) -> str:
+    """Which of the tables [[stage]] the key stage.0 is, where it has no name and there are more."""
+    tables = data.get(path[0]) if len(path) > 1 and isinstance(path[0], str) and isinstance(path[1], int) else None
+    return numbered(path[0], path[1], len(tables)) if isinstance(tables, list) and not _name(tables, path[1]) else ""
+
+
+def numbered(key: object, index: int | str, count: int) -> str:
+    """Say which table a number means: keys count them from 0, as ``--set`` takes them."""
+    return f" ({key}.{index} is number {int(index) + 1} of {count} [[{key}]])" if count > 1 else ""
+
+
+def _name(here: Any, key: int | str) -> str:
+    """The name of an entry of a list, empty for none."""
+    entry = here[key] if isinstance(here, list) and isinstance(key, int) and key < len(here) else None
+    name = entry.get("name") if isinstance(entry, Mapping) else None
+    return name if isinstance(name, str) else ""
 
 
 def written(path: Path, data: Mapping[str, Any], tables: bool = False) -> str:
@@ -75,9 +93,8 @@ def written(path: Path, data: Mapping[str, Any], tables: bool = False) -> str:
     for key in path:
         inside = isinstance(here, Mapping) and key in here
         inside = inside or (isinstance(here, list) and isinstance(key, int) and key < len(here))
+        words.append((_name(here, key) or str(key))[:MOST_LETTERS])
         here = here[key] if inside else None
-        name = here.get("name") if isinstance(key, int) and isinstance(here, Mapping) else None
-        words.append((name if isinstance(name, str) and name else str(key))[:MOST_LETTERS])
     if here is None or (isinstance(here, Mapping) and not tables):
         return ".".join(words)
     value = " ".join(write_value(here).split())

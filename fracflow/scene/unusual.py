@@ -11,6 +11,7 @@ from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import (
+    ANGLE,
     AREA,
     COMPRESSIBILITY,
     DENSITY,
@@ -23,7 +24,12 @@ from fracflow.scene.units import (
 
 FAR_OFF = 10.0  # extents of a map in degrees that lie between it and (0, 0)
 SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock, a pressure that of one of water
+BESIDE = 2e-3  # of the largest initial stress: an initial pressure of less may be kPa for MPa
+SHALLOW = 1e4  # Pa: that of a metre of water, from which on none is told
 STREAM = 0.2  # m^3/s: few wells bring more
+THIN = 0.2  # m: a depth of the flow below it, and below a hundredth of a trace, is no depth of a model of that trace
+THIN_OF_TRACE = 0.01
+WIDE = 0.04  # m: few fractures are wider whose conductance is that of their aperture
 LOCKS = 0.4  # up to which a crack opens by no more than 2 % less than at 0.25, see tests/mesh/test_stiff_cells.py
 DECIMALS = 3  # that coordinates on a plane may have
 
@@ -37,6 +43,7 @@ USUAL = {
         "hydraulic_aperture": (LENGTH, 1e-8, 0.02),
         "hydraulic_opening_ratio": ("", 0.01, 2.0),
         "friction_coefficient": ("", 0.01, 2.0),
+        "friction_angle_deg": (ANGLE, 0.035, 1.31),  # radians
         "direct_effect": ("", 1e-4, 0.1),
         "evolution_effect": ("", 1e-4, 0.1),
         "characteristic_slip": (LENGTH, 1e-7, 1.0),
@@ -91,10 +98,12 @@ def _is_of_rock(scene: Scene) -> bool:
 
 
 def _mistaken(scene: Scene, key: str, value: float, dimension: str, is_so: str, usual: str) -> str:
-    unit = scene.unit_system.written(dimension)
+    """A line on a value that may be one in a ``usual`` unit whose name was forgotten, or that has the wrong unit."""
+    unit, factor = scene.unit_system.written(dimension), scene.unit_system.convert(f"1 {usual}", dimension)
+    in_usual = "" if unit == usual else f" ({value / factor:.4g} {usual})"
     return (
-        f"{key} = {value:g} {unit} is {is_so}: is its unit right? Numbers without a unit are in {unit}; give"
-        f' "{value:g} {usual}" if that is meant'
+        f"{key} = {value:g} {unit}{in_usual} is {is_so}: is its unit right? Numbers without a unit are in {unit}; where"
+        f' {value:g} stands alone and means {usual}, give "{value:g} {usual}"'
     )
 
 
@@ -112,11 +121,38 @@ def _of_wells(scene: Scene) -> Iterator[str]:
         if well.flow_rate is not None:
             rate = max(well.flow_rate.values, key=abs)
             if abs(rate) * scene.unit_system.to_si(FLOW_RATE) > STREAM:
-                yield _mistaken(scene, f"well.{well.name}.flow_rate", rate, FLOW_RATE, "more than wells bring", "L/s")
+                depth = f"{scene.flow_depth:g}{scene.unit_system.behind(LENGTH)}"
+                yield (
+                    _mistaken(scene, f"well.{well.name}.flow_rate", rate, FLOW_RATE, "more than wells bring", "L/s")
+                    + f"; it enters fluid.flow_depth = {depth} of the fractures"
+                )
     for key, values in pressures.items():
         most = max(values, key=abs)
-        if 0.0 < abs(most) * scene.unit_system.to_si(STRESS) < SLIGHT:
+        least = _least_initial(scene) if key == "fluid.initial_pressure" else SLIGHT
+        if 0.0 < abs(most) * scene.unit_system.to_si(STRESS) < least:
             yield _mistaken(scene, key, most, STRESS, "next to nothing in rock", "MPa")
+
+
+def _least_initial(scene: Scene) -> float:
+    """Below it an initial pressure is next to nothing, also beside the initial stress [Pa]."""
+    stress = scene.initial_stress
+    largest = 0.0 if stress is None else max(abs(stress.xx), abs(stress.yy), abs(stress.zz or 0.0))
+    return max(SLIGHT, min(BESIDE * largest * scene.unit_system.to_si(STRESS), SHALLOW))
+
+
+def _thin(scene: Scene) -> Iterator[str]:
+    """A depth of the flow out of the plane that may be an aperture."""
+    fluid = scene.fluid
+    if fluid is None or "flow_depth" not in fluid.model_fields_set:
+        return
+    traces = scene.geometry.fracture if scene.geometry is not None else ()
+    longest = max((float(np.linalg.norm(np.ptp(np.asarray(trace.points), axis=0))) for trace in traces), default=0.0)
+    metres, unit = scene.unit_system.to_si(LENGTH), scene.unit_system.behind(LENGTH)
+    if fluid.flow_depth * metres < min(THIN, THIN_OF_TRACE * longest * metres):
+        yield (
+            f"fluid.flow_depth = {fluid.flow_depth:g}{unit} is unusually small beside fractures of {longest:.3g}{unit}: it is"
+            " the depth out of the plane that flow_rate of wells enters, no aperture: is its unit right?"
+        )
 
 
 def locking(scene: Scene) -> Iterator[str]:
@@ -135,6 +171,7 @@ def unusual(scene: Scene) -> Iterator[str]:
         return
     yield from slight(scene)
     yield from _of_wells(scene)
+    yield from _thin(scene)
     tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
     tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
     leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]
@@ -146,9 +183,14 @@ def unusual(scene: Scene) -> Iterator[str]:
             if value is None or isinstance(value, Profile) or value == 0.0:
                 continue
             in_si = value * scene.unit_system.to_si(dimension)
+            if key == "aperture" and scene.has_flow and table.hydraulic_aperture is None and table.conductance is None:
+                most = WIDE
             if not least <= in_si <= most:
                 stated = f"{value:g} {scene.unit_system.written(dimension)}".rstrip()
                 few = "small" if in_si < least else "large"
-                is_angle = key == "friction_coefficient" and in_si > most
-                remedy = "give an angle as friction_angle_deg" if is_angle else "is its unit right?"
+                remedy = "is its unit right?"
+                if key == "friction_coefficient" and in_si > most:
+                    remedy = "give an angle as friction_angle_deg"
+                elif key == "friction_angle_deg" and value < most:
+                    remedy = f'give "{value:g} rad", if that is meant'
                 yield f"{path}.{key} = {stated} is unusually {few}: {remedy}"

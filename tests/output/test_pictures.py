@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
-from fracflow.output.pictures import _draw_profiles, _overview, _probes, _wells, draw
+from fracflow.output.pictures import _draw_probes, _draw_profiles, _overview, _probes, _wells, draw
 from fracflow.output.plot_style import styled
 from fracflow.output.reader import FractureFields, load_run_data
 from fracflow.scene.quantities import QUANTITIES
@@ -177,6 +177,27 @@ def test_a_panel_shows_what_changes(tmp_path):
     assert thin.bbox.width > 0.8 * figures[1].bbox.width and wide.bbox.width < 0.6 * figures[0].bbox.width
 
 
+def test_walls_that_rest_on_each_other_show_their_pressure_before_their_displacement(tmp_path):
+    """Its long label is broken, so that it stays beside its panel."""
+    data = load_run_data(make_run(tmp_path))
+    still = {f"probe/{name}/{each}": np.zeros(STEPS) for name in data.probes for each in ("slip", "opening")}
+    flat = {f"probe/{name}/pressure": np.full(STEPS, 2e4) for name in data.probes}
+    bare = replace(data, fractures=None)
+    for run, history, titles in (
+        (data, still, ["Pressure at the probes", "Energy", "Pressure along fractures"]),
+        (bare, still, ["Pressure at the probes", "Energy", "Normal traction at the probes"]),
+        (data, still | flat, ["Displacement along its main", "Energy", "Pressure along fractures"]),
+    ):
+        with styled():
+            figure = _overview(replace(run, history={**data.history, **history}, events=[]))
+        panels = figure.axes[:3]
+        for axes, title in zip(panels, titles, strict=True):
+            assert axes.get_title(loc="left").startswith(title)
+    top = panels[0]
+    head = min(text.get_window_extent().y0 for text in figure.findobj(Text) if text.get_text().startswith(data.title))
+    assert top.yaxis.label.get_window_extent().y1 < head
+
+
 def test_the_mesh_of_an_event_is_shown_near_the_fractures(tmp_path):
     """All fractures and marks, with a quarter of their extent around them, and no rock far away; meshed rock is shown whole."""
     data = load_run_data(make_run(tmp_path))
@@ -196,12 +217,16 @@ def test_the_mesh_of_an_event_is_shown_near_the_fractures(tmp_path):
     assert zoomed == pytest.approx([-10.0, 110.0, -10.0, 110.0])
 
 
-def test_a_long_title_goes_on_below(tmp_path):
+@pytest.mark.parametrize("panel", ["profiles", "probes"])
+def test_a_long_title_goes_on_below(tmp_path, panel):
     data = load_run_data(make_run(tmp_path))
     with styled():
         figure = Figure(figsize=(3.0, 3.0), layout="constrained")
         axes = figure.subplots()
-        _draw_profiles(axes, data, QUANTITIES["pressure"])
+        if panel == "profiles":
+            _draw_profiles(axes, data, QUANTITIES["pressure"])
+        else:
+            _draw_probes(axes, data, QUANTITIES["displacement"], "Displacement along its main direction at the probes")
         figure.draw_without_rendering()
         (title,) = (
             text for text in axes.findobj(Text) if text.get_text() and text.get_text() == axes.get_title(loc="left")

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from fracflow.errors import InputError
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.remarks import bare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
@@ -24,7 +26,8 @@ well = [
   {name = "in", at = {fracture = "Anna", end = "start"}, pressure = 2e5},
   {name = "out", at = {fracture = "Clara", end = "end"}, pressure = 0.5e5},
 ]
-probe = [{name = "A", at = [1, 1], on = "Anna"}, {name = "C", at = [3, 1.5], on = "Clara"}]
+probe = [{name = "A", at = [1, 1], on = "Anna"}, {name = "C", at = [3, 1.5], on = "Clara"},
+         {name = "B", at = [2, 3], on = "Bruno"}]
 stage = [{kind = "steady", time_step = 1, steps = 1}]
 output = {pictures = false}
 [geometry]
@@ -60,3 +63,7 @@ def test_flow_through_two_fractures_of_a_table(shared_tmp, comm, cells):
     # The scene that the folder keeps needs the table no more.
     assert load(shared_tmp / "out" / "scene.toml") == scene
     assert "fractures_csv" not in (shared_tmp / "out" / "scene.toml").read_text(encoding="utf-8")
+    for name, at in (("well.in", '{fracture = "Bruno", fraction = 0.9}'), ("probe.B", "[2, 8.3]")):
+        cut = rf'{name}: at \(2, 8[.0-9]*\) m: lies outside the domain, at whose side fracture "Bruno" ends, at \(2, 4\) m: '
+        with pytest.raises(InputError, match=cut):
+            prepare(load(path, [f"{name}.at={at}"]), comm)

@@ -8,10 +8,12 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.errors import Interrupted
 from fracflow.mesh.data import is_unmeshed
-from fracflow.mesh.store import load_mesh
+from fracflow.mesh.store import load_mesh, save_mesh
 from fracflow.output import read_events, read_history
 from fracflow.output.reader import load_run_data
 from fracflow.reduction import far_sides
+from fracflow.reduction.prepare import prepare, read_split
+from fracflow.scene.method import Mesh
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import resume, run
 
@@ -145,12 +147,14 @@ def test_held_sides_keep_the_volume_of_rock(shared_tmp, dear_meshes, monkeypatch
     }  # fmt: skip
     scene = scene_of(**crack)
     assert far_sides.estimated(scene) == pytest.approx((10 / 190) ** 2 + np.pi * (10 / 400) ** 2 * 0.51 / 0.02)
+    near = scene_of(**crack | {"geometry": crack["geometry"] | {"domain": [-100, -100, 100, 100]}})
+    for each in (near, in_file(near, shared_tmp / "kept.h5")):
+        (line,) = on_sides(each)
+        assert "held all round" in line and "17 % less" in line
+        assert not on_sides(each.model_copy(update={"support": ()}))
     monkeypatch.setattr(far_sides, "estimated", lambda scene: 1e-3)
     run(scene, shared_tmp / "closed")
     assert "sides would change results by up to 0.05" in row(shared_tmp / "closed")["undone"]
-    near = scene_of(**crack | {"geometry": crack["geometry"] | {"domain": [-100, -100, 100, 100]}})
-    assert any("held all round" in line and "17 % less" in line for line in far_sides.near_sides(near))
-    assert not any("held all round" in line for line in far_sides.near_sides(near.model_copy(update={"support": ()})))
 
 
 def test_a_run_without_sides_goes_on(shared_tmp, dear_meshes):
@@ -254,14 +258,46 @@ def test_one_obstacle_is_named(dear_meshes):
     assert far_sides.one_obstacle(scene_of(60.0, output={"fields_every": 1})) == []
 
 
-def test_sides_that_are_near_are_told():
-    """Half lengths are 19.2 and 20.5; a trace that ends at a side, and rock without sides, have no line."""
-    (line,) = far_sides.near_sides(scene_of(30.0))
-    assert "sides: a, 38.5 m long, comes within 10 m of a side (so near for their lengths: 1 more)" in line
-    assert "off by up to 6" in line and 'geometry.domain = "unbounded"' in line
-    assert far_sides.near_sides(scene_of(80.0)) == []
-    through = {"domain": [-20, -20, 20, 20], "size": 4, "fracture": [{"name": "a", "points": [[-20, 0], [20, 1]]}]}
-    assert far_sides.near_sides(scene_of(geometry=through, probe=[], well=[])) == []
+@pytest.mark.parametrize("fewest", [0, 10**9], ids=["in slices", "whole"])
+def test_sides_that_are_near_are_told(shared_tmp, monkeypatch, fewest):
+    """Half lengths are 19.2 and 20.5, in a file as in the scene; a trace that ends at a side has no line.
+
+    Nor have sides that absorb all waves of a scene without stages that come to rest.
+    """
+    monkeypatch.setattr("fracflow.mesh.slices.reading.FEWEST", fewest)
+    near, far, ending = (scene_of(30.0), scene_of(80.0), scene_of(geometry=THROUGH, probe=[], well=[]))
+    kept = in_file(near, shared_tmp / "near.h5")
+    for scene, free in ((near, "geometry.domain ="), (kept, "[geometry] with domain ="), (refined(kept), "[mesh]")):
+        (line,) = on_sides(scene)
+        assert "sides: a, 38.5 m long, comes within 10 m of a side (so near for their lengths: 1 more)" in line
+        assert "off by up to 6" in line and free in line
+    for scene in (far, ending, in_file(far, shared_tmp / "far.h5"), in_file(ending, shared_tmp / "ending.h5")):
+        assert on_sides(scene) == []
+    rock = {"rock": {"youngs_modulus": 4e10, "poissons_ratio": 0.25, "density": 2600.0}}
+    for side, count in (("support", 1), ("absorbing", 0)):
+        waves = scene_of(30.0, **KEPT["inertia"], rock=rock, **{"support": [], side: [{"on": SIDES}]})
+        assert len(on_sides(waves)) == count
+
+
+THROUGH = {"domain": [-20, -20, 20, 20], "size": 4, "fracture": [{"name": "a", "points": [[-20, 0], [20, 1]]}]}
+
+
+def on_sides(scene):
+    """Lines on sides of a scene that is made ready on all ranks."""
+    return [note for note in prepare(scene, MPI.COMM_WORLD).placed.notes if note.startswith("sides:")]
+
+
+def in_file(scene, path):
+    """The same scene with its mesh in a file."""
+    if MPI.COMM_WORLD.rank == 0:
+        save_mesh(read_split(scene), path)
+    MPI.COMM_WORLD.barrier()
+    return scene.model_copy(update={"geometry": None, "mesh": Mesh(file=str(path))})
+
+
+def refined(scene):
+    """The same with its cells cut in four on their ranks."""
+    return scene.model_copy(update={"mesh": scene.mesh.model_copy(update={"refine": 1})})
 
 
 def test_estimate_falls_with_the_square_of_the_distance():

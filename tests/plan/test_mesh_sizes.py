@@ -25,6 +25,7 @@ from fracflow.reduction.mesh_size import (
 from fracflow.reduction.prepare import read_split, with_sizes
 from fracflow.reduction.unresolved import unresolved
 from fracflow.remarks import note
+from fracflow.scene.method import Mesh
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 from fracflow.simulation.run import run
@@ -254,13 +255,16 @@ def test_rock_that_coarsens_fast_beside_a_fracture_that_weakens_is_told():
     weak = WEAKENING | {"slip_weakening_distance": 1e-2}
     sizes = {"size": 10.0, "size_at_fractures": 1.0}
 
-    def told(**more):
+    def told(in_file=False, **more):
         scene = scene_of([[[30, 50], [70, 50]]], fracture=weak, **more)
         mesh = read_split(sized(scene))
+        scene = scene.model_copy(update={"geometry": None, "mesh": Mesh(file="a.h5")}) if in_file else scene
         return [line for line in unresolved(scene, mesh, {}) if "run away late" in line]
 
     (line,) = told(geometry=sizes | {"growth": 0.3})
     assert "f0" in line and "geometry.growth = 0.1" in line
+    (line,) = told(in_file=True, geometry=sizes | {"growth": 0.3})
+    assert "geometry" not in line and "give a [mesh] whose cells grow by less there" in line
     assert not told(geometry=sizes) and not told()
     assert not told(geometry=sizes | {"growth": 0.3}, stage={"kind": "dynamic"})
     weakens = scene_of([[[30, 50], [70, 50]]], fracture=weak, geometry=sizes)

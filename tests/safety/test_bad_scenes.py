@@ -215,7 +215,7 @@ SCENES = {
     "pascals for MPa": (
         placed('"-5 MPa"', "-5", '"1e-3 Pa s"', '"1e-3 Pa s"\ninitial_pressure = "1 MPa"'),
         "scene.toml: initial state: effective normal traction is tensile on fault, by up to 1e+06 N/m^2: compress the rock"
-        ' … initial_stress.yy = -5 N/m^2 is the largest of it, … give "-5 MPa" if that is meant',
+        ' … initial_stress.yy = -5 N/m^2 (-5e-06 MPa) is the largest of it, … give "-5 MPa"',
     ),
     "past the strength": (
         placed("yy =", 'xy = "4 MPa"\nyy ='),

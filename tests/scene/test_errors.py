@@ -97,7 +97,7 @@ CASES = {
     "stage.1={kind='steady',time_step=1}": "stage.1.end: missing; a stage of kind steady needs end or steps",
     "stage.1={kind='auto',end=1}": "stage.1.time_step: missing; a stage of kind auto needs it",
     "stage.1.steps=3": "stage.1.steps = 3: contradicts end = 3; give one of them",
-    "stage.1.end=-1": "stage.1.end = -1: must be later than the start of the stage, 0",
+    "stage.1.end=-1": "stage.1.end = -1: must be later than the start of the stage, 0 (stage.1 is number 2 of 2 [[stage]])",
     "stage.1.until=incipient": "stage.1.control: missing; until needs the name of a [control]",
     "stage.1.then=hold": "stage.1.control: missing; then needs",
     "stage.slow.time_step=1": "stage.slow.time_step = 1: contradicts a steady stage until incipient",
@@ -201,6 +201,9 @@ def test_mesh_names(make):
     }
     scene = make()
     scene.check_mesh_names(**names)
+    two = make(text=make.text + '[[support]]\non = "eats"\n')
+    with pytest.raises(InputError, match=r'support.1.on = "eats": .* \(support.1 is number 2 of 2 \[\[support\]\]\);'):
+        two.check_mesh_names(**names)
     with pytest.raises(InputError, match=r'scene.toml: load.0.on = "north": not in the mesh; did you mean "south"'):
         scene.check_mesh_names(**names | {"sides": ("west", "south")})
     with pytest.raises(InputError, match=r"fracture.joint: missing; the mesh has a fracture"):

@@ -16,6 +16,7 @@ from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.schema import note_on_meanings, rows
 from fracflow.scene.toml import write_float, write_value
+from fracflow.scene.unusual import unusual
 from fracflow.scene.values import FractureEnd, TimeTable
 
 pytestmark = pytest.mark.serial
@@ -137,6 +138,47 @@ def test_values_of_another_unit_are_told(make):
     assert told in advice(load("meshes/pressurised_crack/scene.toml", [f"{crack}=30"]))
 
 
+JOINT = "fracture.fault={normal_stiffness=1e10, shear_stiffness=1e10, aperture=1e-3, friction_angle_deg=%s}"
+TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", points=[[30, 50], [70, 50]]}]}'
+
+
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        ([JOINT % 0.54], 'friction_angle_deg = 0.54 degree is unusually small: give "0.54 rad", if that is meant'),
+        ([JOINT % 1.5], "friction_angle_deg = 1.5 degree is unusually small: is its unit right?"),
+        ([JOINT % '"0.54 rad"'], None),
+        ([JOINT % 5], None),
+        ([JOINT % 60], None),
+        (["fracture.fault.aperture=50 mm"], "fracture.fault.aperture = 0.05 m is unusually large: is its unit right?"),
+        (["fracture.fault.aperture=50 mm", "fracture.fault.hydraulic_aperture=1 mm"], None),
+        (["fracture.fault.aperture=30 mm"], None),
+        ([TRACE, "fluid.flow_depth=50 mm"], "fluid.flow_depth = 0.05 m is unusually small beside fractures of 40 m"),
+        ([TRACE, "fluid.flow_depth=1 m"], None),
+        (["fluid.flow_depth=50 mm"], None),  # a sample of a laboratory
+        (
+            ["initial_stress={xx=-8e6, yy=-9e6}", "fluid.initial_pressure=4 kPa"],
+            "4000 N/m^2 (0.004 MPa) is next to nothing",
+        ),
+        (["initial_stress={xx=-8e5, yy=-9e5}", "fluid.initial_pressure=4 kPa"], None),
+        (["initial_stress={xx=-8e6, yy=-9e6}", "fluid.initial_pressure=10 kPa"], None),
+    ],
+)
+def test_values_that_rock_seldom_has_are_told(make, settings, told):
+    text = make.text.replace('[mesh]\nfile = "fault.geo"', "") if TRACE in settings else make.text
+    lines = list(unusual(make(*settings, text=text)))
+    assert (len(lines) == 1 and told in lines[0]) if told else lines == []
+
+
+def test_a_rate_of_another_unit_is_told_with_both(make):
+    """The number of the message is in units of the scene: one that had a unit is not to be given anew in another one."""
+    (line,) = unusual(make("well.node2.flow_rate=300 L/s"))
+    assert line.startswith("well.node2.flow_rate = 0.3 m^3/s (300 L/s) is more than wells bring: is its unit right?")
+    assert line.endswith(
+        'where 0.3 stands alone and means L/s, give "0.3 L/s"; it enters fluid.flow_depth = 1 m of the fractures'
+    )
+
+
 @pytest.mark.parametrize("stress, told", [("-14", True), ("-14e6", False), ("0", False)])
 def test_a_stress_of_pascals_is_told(make, stress, told):
     lines = advice(make(f"initial_stress={{xx={stress}, yy={stress}}}"))
@@ -160,7 +202,7 @@ def test_pressures_of_pascals_and_rates_of_cubic_metres_are_told(make, key, smal
     wrong, right = (large, small) if unit == "m^3/s" else (small, large)
     usual = "L/s" if unit == "m^3/s" else "MPa"
     assert len(told[wrong]) == 1 and told[right] == []
-    assert told[wrong][0].startswith(f"{name} = {wrong} {unit} is ") and f'give "{wrong} {usual}"' in told[wrong][0]
+    assert told[wrong][0].startswith(f"{name} = {wrong} {unit} (") and f'give "{wrong} {usual}"' in told[wrong][0]
 
 
 def test_a_rate_of_one_metre_of_fractures_is_told(make):
