@@ -251,7 +251,7 @@ class Snapshot:
     far: Floats = field(default_factory=lambda: np.zeros(3))
 
     def column(self, name: str) -> Floats:
-        """A vector along fractures of every step at all joint ends (joints, 2, dim-1)."""
+        """A vector along fractures of every step at all joint ends (joints, 2, dim - 1)."""
         return self.always.of(self.ends[..., 1:], name)
 
     def flag(self, name: str) -> Bools:
