@@ -109,7 +109,9 @@ _fracflow_petsc_dir() {
 
 export PYTHONNOUSERSITE=1 # packages in ~/.local would come before the system's numpy
 export OMP_NUM_THREADS=1 MPLBACKEND=Agg
-export OMPI_MCA_mpi_yield_when_idle=1 # ranks that wait leave the cores to others
+# ranks that wait leave the cores to others, and each takes the core that is free: bound to one that another process has, a rank
+# that leaves it gets it back late
+export OMPI_MCA_mpi_yield_when_idle=1 OMPI_MCA_hwloc_base_binding_policy=none
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
 unset PYTHONHOME
 

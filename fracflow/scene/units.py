@@ -105,6 +105,7 @@ BASE = {
     "lbf*s/ft**2": 47.88025898033586,
     "lbf/ft**3": 157.08746384624627,
     "s": 1.0,
+    "degree": math.pi / 180.0,
 }
 """Units of the report -> SI, likewise."""
 PARTS = {"[length]": ("m", "ft"), "[force]": ("N", "lbf"), "[time]": ("s",)}

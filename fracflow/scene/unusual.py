@@ -25,7 +25,7 @@ from fracflow.scene.units import (
 FAR_OFF = 10.0  # extents of a map in degrees that lie between it and (0, 0)
 SLIGHT = 1e3  # Pa: an initial stress of less is that of a hand's breadth of rock, a pressure that of one of water
 BESIDE = 2e-3  # of the largest initial stress: an initial pressure of less may be kPa for MPa
-SHALLOW = 1e4  # Pa: that of a metre of water, from which on none is told
+SHALLOW = 1e4  # Pa: that of a metre of water, from which on none is unusual
 STREAM = 0.2  # m^3/s: few wells bring more
 THIN = 0.2  # m: a depth of the flow below it, and below a hundredth of a trace, is no depth of a model of that trace
 THIN_OF_TRACE = 0.01

@@ -27,6 +27,7 @@ IMPEDANCE = 1e7  # of rock [kg/(m2 s)]: a stress that drops moves walls at about
 KEPT = (
     "PATH", "HOME", "PETSC_DIR", "PYTHONPATH", "PYTHONNOUSERSITE", "OMP_NUM_THREADS", "MPLBACKEND", "OMPI_ALLOW_RUN_AS_ROOT",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe", "OMPI_MCA_mpi_yield_when_idle",
+    "OMPI_MCA_hwloc_base_binding_policy",
 )  # fmt: skip
 
 
