@@ -19,7 +19,9 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.tables import Fracture
 
 Bools = np.ndarray
-AT_ONCE = 2**12  # cells or joints that are looked at together: what is found meanwhile takes several times their memory
+ROWS_AT_ONCE = (
+    2**12
+)  # cells or joints that are looked at together: what is found meanwhile takes several times their memory
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def _of_laws(
     states = (0.0, 0.0, np.inf, np.nan, np.nan, np.inf)
     found += [np.full(shape, value) if creeps else np.broadcast_to(value, shape) for value in states]
     for table, joints in tables:
-        for here in np.split(joints, range(AT_ONCE, len(joints), AT_ONCE)):
+        for here in np.split(joints, range(ROWS_AT_ONCE, len(joints), ROWS_AT_ONCE)):
             values = _of_table(table, mesh.joint_along[here], sheared[here], normal[here])
             for into, each in zip(found if creeps else found[:2], values, strict=False):
                 into[here] = each.reshape(-1, 2)
@@ -236,8 +238,8 @@ def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats
     density, rigid  (r,) of each rock
     """
     at_node = np.zeros(len(mesh.points))
-    for first in range(0, len(mesh.cells), AT_ONCE):
-        cells, rocks = (each[first : first + AT_ONCE] for each in (mesh.cells, mesh.cell_rock))
+    for first in range(0, len(mesh.cells), ROWS_AT_ONCE):
+        cells, rocks = (each[first : first + ROWS_AT_ONCE] for each in (mesh.cells, mesh.cell_rock))
         is_node = cells >= 0
         corners = np.where(is_node, cells, cells[:, :1])
         share = (density[rocks] * _areas(mesh.points[corners]) / is_node.sum(axis=1))[:, None] * is_node

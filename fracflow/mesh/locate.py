@@ -13,7 +13,6 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.plane.traces import is_within
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | Floats | str | tuple[str, str]
@@ -134,19 +133,16 @@ def _refuse_far(what: str, point: Floats, distance: str, fracture: str | None) -
     )
 
 
-def refuse_cut_off(
-    mesh: SplitMesh, outline: Floats, point: Floats, what: str, fracture: str | None, unit: str = ""
-) -> None:
+def refuse_cut_off(mesh: SplitMesh, trace: Floats, point: Floats, what: str, fracture: str, unit: str = "") -> None:
     """Raise InputError, naming ``what``, for a point (2,) on the part of a trace that a side of the domain cuts off.
 
-    outline  (k, 2) corners of the domain; joints at a side may reach a little beyond it
+    trace  (k, 2) corners of the fracture as it was drawn
     """
-    if fracture not in mesh.fractures or is_within(point[None], outline)[0]:
-        return
     joints = np.flatnonzero(_joints_of(mesh, what, fracture))
     away = np.linalg.norm(mesh.points[mesh.joint_bottom[joints]] - point, axis=2)
     row, end = np.unravel_index(np.argmin(away), away.shape)
-    if away.min() > _length(mesh, int(joints[row])):
+    size = _length(mesh, int(joints[row]))
+    if away.min() > size >= _to_trace(trace, point):
         here, there = (
             place_text(each, extent_of(mesh.points))
             for each in (point, mesh.points[mesh.joint_bottom[joints[row], end]])
@@ -155,6 +151,13 @@ def refuse_cut_off(
             f'{what}: at {here}{unit}: lies outside the domain, at whose side fracture "{fracture}" ends, at {there}{unit}:'
             " give a place before that, or a geometry.domain that has both"
         )
+
+
+def _to_trace(trace: Floats, point: Floats) -> float:
+    """Distance of a point (2,) from a trace with corners (k, 2)."""
+    along, to = np.diff(trace, axis=0), point - trace[:-1]
+    share = np.clip((to * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+    return float(np.linalg.norm(to - share[:, None] * along, axis=1).min())
 
 
 def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None, unit: str = "") -> FracturePlace:

@@ -282,9 +282,11 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     }
     on = {f"well.{well.name}": _fracture_of(well.at) for well in scene.well}
     on |= {f"probe.{probe.name}": probe.on or _fracture_of(probe.at) for probe in scene.probe}
+    drawn = {} if scene.geometry is None else {trace.name: trace.points for trace in scene.geometry.fracture}
     for what, at in asked.items():
-        if scene.geometry is not None and not scene.is_unbounded and _is_point(at):
-            refuse_cut_off(mesh, np.array(scene.geometry.outline, dtype=float), np.array(at), what, on[what], unit)
+        name = on[what]
+        if name in drawn and name in mesh.fractures and _is_point(at):
+            refuse_cut_off(mesh, np.array(drawn[name], dtype=float), np.array(at), what, name, unit)
     wells = {
         w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", on[f"well.{w.name}"], unit).flow,)
         if w.on is None

@@ -225,7 +225,8 @@ def in_box(mesh: SplitMesh, low: Floats, high: Floats) -> list[Reach]:
     away = np.minimum(least - low, high - most).min(axis=1)
     away[mesh.joint_fracture[is_open]] = 0.0
     half = 0.5 * np.linalg.norm(most - least, axis=1)
-    return [(h, d, name) for h, d, name in zip(half.tolist(), away.tolist(), mesh.fractures, strict=True) if h >= 0.0]
+    meshed = np.unique(mesh.joint_fracture).tolist()
+    return [(float(half[number]), float(away[number]), mesh.fractures[number]) for number in meshed]
 
 
 def _held_length(scene: Scene, blocks: Blocks) -> float:

@@ -184,7 +184,7 @@ def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: f
 
 
 def between(before: float, after: float, share: float | Floats) -> float | Floats:
-    """What a value is once shares (k,) of its change are made: exactly ``after`` once all is."""
+    """A value once shares (k,) of its change are made: exactly ``after`` once all is."""
     return np.where(share == 1.0, after, before + share * (after - before))
 
 

@@ -67,3 +67,5 @@ def test_flow_through_two_fractures_of_a_table(shared_tmp, comm, cells):
         cut = rf'{name}: at \(2, 8[.0-9]*\) m: lies outside the domain, at whose side fracture "Bruno" ends, at \(2, 4\) m: '
         with pytest.raises(InputError, match=cut):
             prepare(load(path, [f"{name}.at={at}"]), comm)
+    with pytest.raises(InputError, match=r'fracture "Bruno" is .* away; move it onto that'):
+        prepare(load(path, ["probe.B.at=[5, 8.3]", "probe.B.on=Bruno"]), comm)

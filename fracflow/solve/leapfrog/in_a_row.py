@@ -32,7 +32,7 @@ MOST_AT_ONCE = 1e7  # unknowns times steps between two looks at signals: .1 to .
 OF_A_ROW = {
     "most_pressed", "dt", "share", "base", "inverse_own", "friction", "of_terms", "of_joints", "resisting", "values", "strain",
     "record", "blur", "accelerations", "damped_forces", "statuses", "scheme", "boundaries", "of_damping", "energy", "left",
-    "iterations", "row", "waits", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
+    "iterations", "row", "damping_waits", "loads", "held_at", "held_speed", "held_acceleration", "support", "incoming",
 }  # fmt: skip
 """Members of ``steps`` that each row sets anew."""
 
@@ -45,7 +45,7 @@ class Held(NamedTuple):
     resisting     (o,) forces of dashpots at ``Nodes.own``, by terms, and ``damped`` (n,) of what damps [force per thickness]
     load          (m,) at ``Nodes.changing``, and ``support`` (h,) forces of supports [force per thickness]
     supports      how these move;  ``powers`` of waves, by terms [energy/time per thickness]
-    waits         whether damping waits for the first section that slides: the loops leave that step to others
+    damping_waits  for the first section that slides or opens: the loops leave that step to others
     """
 
     sections: Sections
@@ -57,7 +57,7 @@ class Held(NamedTuple):
     support: Floats
     supports: SupportsAt
     powers: Mapping[str, float]
-    waits: bool
+    damping_waits: bool
 
 
 class Row(NamedTuple):
@@ -156,6 +156,8 @@ class StepsInARow:
         base    (m,) forces that stay, on those of ``Nodes.every`` on which others act [force per thickness]
         beside  (l,) loads that stay where others change [force per thickness]
         """
+        if self._is_refused(held.sections):
+            return None
         arrays = self._begin(held, base, ahead.dt)
         done, outer = self._go_on(held, beside, ahead)
         return self._row(held, arrays, done, outer) if done else None
@@ -163,8 +165,7 @@ class StepsInARow:
     def _begin(self, held: Held, base: Floats, dt: float) -> _Arrays:
         """Give the loops what a row begins with. Collective."""
         given, nodes, sections = self._given, self.nodes, held.sections
-        given.most_pressed = self._most_pressed(sections)
-        given.dt, given.share, given.waits = dt, joint_share(dt), held.waits
+        given.dt, given.share, given.damping_waits = dt, joint_share(dt), held.damping_waits
         strain, before = self._all_sections(sections)
         answers = before, Answers(np.empty_like(before.values), np.empty_like(before.statuses))
         damped_forces = (np.zeros(self._places), np.zeros(self._places))
@@ -213,7 +214,7 @@ class StepsInARow:
         return done, _Outer(load, supports, powers, brought)
 
     def _row(self, held: Held, arrays: _Arrays, done: int, outer: _Outer) -> Row:
-        """What the loops have left there after some steps."""
+        """Values that the loops have left there after some steps."""
         given, sections, last = (
             self._given,
             held.sections,
@@ -231,7 +232,7 @@ class StepsInARow:
         for name in damped:
             taken[name] = taken.get(name, 0.0) + given.of_damping
         ended = sections, friction, last["accelerations"], arrays.resisting, damped
-        new = Held(*ended, outer.load, support, outer.supports, outer.powers, held.waits)
+        new = Held(*ended, outer.load, support, outer.supports, outer.powers, held.damping_waits)
         sums = given.energy, given.scheme, given.boundaries, taken, outer.brought, joints
         return Row(done, new, *sums, round(given.iterations), given.left)
 
@@ -291,6 +292,14 @@ class StepsInARow:
         """Free the ways between ranks. Collective."""
         if self._others is not None:
             self._others.destroy()
+
+    def _is_refused(self, sections: Sections) -> bool:
+        """Whether no compression is known on any rank at which no section jumps. Collective."""
+        self._given.most_pressed = self._most_pressed(sections)
+        is_here = self._given.most_pressed == -np.inf
+        return (
+            is_here if self._others is None else bool(self.nodes.operators.layout.comm.allreduce(is_here, op=MPI.LOR))
+        )
 
     def _most_pressed(self, sections: Sections) -> float:
         """Up to which compression no strength falls so fast that a section jumps, as far as that is known [stress].

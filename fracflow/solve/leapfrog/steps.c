@@ -19,7 +19,9 @@ STEPS(
   int64_t sections_all, pushed_all, ghosts, first_ghost;
   /* nodes of the rock that move in the sweep, that are this rank's, and all; cells with nodes of other ranks */
   int64_t early, owned, whole, threes, fours;
-  int64_t is_coupled, has_path, most, most_changes, waits;
+  int64_t is_coupled, has_path, most, most_changes;
+  /* whether damping waits for the first section that slides or opens: that step is not for these loops */
+  int64_t damping_waits;
   /* unknowns with loads that change, and of supports; the row of their tables, below, that a step begins with */
   int64_t loaded, held, row;
   double dt, share, most_pressed;
@@ -112,8 +114,9 @@ static void joints_balance(steps *s) {
     if (done > agreed[1]) agreed[1] = done;
   }
   const double *inelastic = is + of_inelastic * n;
+  const int8_t *is_open = s->statuses[1] + n;
   for (int64_t i = 0; i < s->sections; i++)
-    if (!(-is[2 * i + 1] <= s->most_pressed) || (s->waits && (inelastic[2 * i] != 0.0 || inelastic[2 * i + 1] != 0.0)))
+    if (!(-is[2 * i + 1] <= s->most_pressed) || (s->damping_waits && (inelastic[2 * i] != 0.0 || is_open[i])))
       agreed[0] = 1.0;
   fracflow_after((int32_t)n, s->before, s->found, s->strain[1], agreed + 2);
 }
@@ -197,7 +200,7 @@ static void outer_forces(steps *s) {
   for (int64_t i = 0; i < s->loaded; i++) s->forces[s->at_loads[i]] = loads[i] - s->prestress[i];
   memset(s->forces + s->forced, 0, sizeof(double) * (size_t)beyond);
   fracflow_resist((int32_t)s->sections_all, s->starts, s->at, s->entries, s->weights, s->values[0], s->forces);
-  if (s->damped && !s->waits) {
+  if (s->damped && !s->damping_waits) {
     s->of_damping += 0.5 * fracflow_damp((int32_t)s->damped, s->damping_starts, s->damping_columns, s->damping, 1.0 / s->dt,
                                          s->moved, s->damped_forces[0], s->damped_forces[1], s->forces);
     swap(s->damped_forces);

@@ -112,7 +112,7 @@ class Run:
         """No state yet."""
         self.nodes, self.rock, self.passes = nodes, nodes.rock, joint_nodes(nodes)
         self.last: State | None = None
-        self.waits = bool(nodes.damping)
+        self.damping_waits = False
         self.constant = np.zeros(self.rock.e.shape)
         self.loaded = np.zeros(0, dtype=np.int64)
         self.sums: RockSums | None = None
@@ -129,7 +129,7 @@ class Run:
                 rock.begin(vector, values)
             rock.step(0.0, 0.0)
             self.sums = self._rock_sums(rock.sums(nodes.prestress))
-            self.waits = bool(nodes.damping) and not self._has_slid(state.sections)
+            self.damping_waits = bool(nodes.damping) and not self._has_slid(state.sections)
         self.old_sums = self.sums
         self.sections, self.friction = state.sections, state.friction
         self.total = state.sections.traction
@@ -223,18 +223,14 @@ class Run:
         of_own = self.nodes.held_of_own
         supports = SupportsAt(self.held_at, self.own_speed[of_own], self.own_a[of_own])
         ended = self.sections, self.friction, self.a, self.resisting, self.damped
-        return Held(*ended, self.load, self.support, supports, self.powers, self.waits)
+        return Held(*ended, self.load, self.support, supports, self.powers, self.damping_waits)
 
     def go_on(self, row: Row) -> None:
         """Take over steps in a row."""
         balance, of_own, new = self.balance, self.nodes.held_of_own, row.held
-        self.sections, self.friction, self.total, self.a = (
-            new.sections,
-            new.friction,
-            new.sections.traction,
-            new.acceleration,
-        )
-        self.load, self.support, self.held_at, self.waits = new.load, new.support, new.supports.at, new.waits
+        self.sections, self.friction, self.total = new.sections, new.friction, new.sections.traction
+        self.a, self.load, self.support, self.held_at = new.acceleration, new.load, new.support, new.supports.at
+        self.damping_waits = new.damping_waits
         self.own_speed, self.own_a = self.own_speed.copy(), self.own_a.copy()
         self.own_speed[of_own], self.own_a[of_own] = new.supports.speed, new.supports.acceleration
         self.resisting, self.damped, self.powers = dict(new.resisting), dict(new.damped), dict(new.powers)
@@ -305,16 +301,17 @@ class Run:
         self.resisting = resisting
 
     def _has_slid(self, sections: Sections) -> bool:
-        """Whether any section of all ranks has slid, or opened. Collective."""
-        return bool(self.nodes.operators.layout.comm.allreduce(bool(sections.inelastic.any()), op=MPI.LOR))
+        """Whether any section of all ranks has slid, or is open. Collective."""
+        is_here = bool(sections.inelastic.any() or sections.is_open.any())
+        return bool(self.nodes.operators.layout.comm.allreduce(is_here, op=MPI.LOR))
 
     def _damp(self, force: Floats) -> None:
         """Take what damps the mean velocity of the step off forces (m,), and add its work. Collective.
 
         Nothing before the first section slides, that of this step included.
         """
-        self.waits = self.waits and not self._has_slid(self.sections)
-        if self.waits:
+        self.damping_waits = self.damping_waits and not self._has_slid(self.sections)
+        if self.damping_waits:
             return
         for name, each in self.nodes.damping.items():
             at = self.nodes.at_damped[name]
