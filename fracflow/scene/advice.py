@@ -41,6 +41,7 @@ def advice(scene: Scene) -> list[str]:
         *_let_go(scene),
         *_bouncing(scene),
         *_displaced(scene),
+        *_unseen(scene),
         *_reflecting(scene),
         *_ringing(scene),
         *_passing(scene),
@@ -131,6 +132,28 @@ def _without_flow(scene: Scene) -> Iterator[str]:
         f"fluid.{zero} = 0 leaves the flow out: nothing carries fluid.initial_pressure, which initial tractions of fractures"
         f" count on: give a fluid.{zero} above 0, or leave [fluid] out and give effective stresses"
     )
+
+
+def _unseen(scene: Scene) -> Iterator[str]:
+    """Waves that are over before any stage has inertia; tables count time from the start of the run."""
+    waves = [(", ".join(each.on), each.wave.velocity.times[-1]) for each in scene.absorbing if each.wave is not None]
+    start = 0.0
+    for stage in scene.stage:
+        if stage.kind in ("dynamic", "auto"):
+            break
+        if not stage.takes_no_time:
+            if stage.until is not None or not stage.step_count(start):  # nothing in the scene says when it ends
+                return
+            start = stage.finish(start)
+    else:
+        start = math.inf
+    for name, end in waves:
+        if end <= start and start > 0.0:
+            begins = "no stage has inertia" if math.isinf(start) else f"inertia begins at {scene.time_text(start)}"
+            yield (
+                f"absorbing {name}: its wave is over at {scene.time_text(end)}, and {begins}: no wave comes in; give a stage of"
+                ' kind = "dynamic" while it lasts: times of tables count from the start of the run'
+            )
 
 
 def _reflecting(scene: Scene) -> Iterator[str]:

@@ -219,6 +219,7 @@ ROCK = CELL + 'Physical Surface("a") = {1};'
         ("two.geo", ROCK + 'Physical Surface("b") = {1};', 'surfaces, "a" and "b"'),
         ("unnamed.geo", CELL + "Physical Surface(7) = {1};", "physical surface 7 has no name"),
         ("curved.geo", ROCK + 'Mesh.ElementOrder = 2;', "type Line 3; use linear"),
+        ("gone.geo", ROCK + 'Physical Curve("b") = {1, 77};', "Skipping unknown curve 77 .*: tags change in Boolean"),
         ("missing.geo", ROCK + 'Physical Curve("b") = {1};', 'no physical curve "fault"'),
         ("point.geo", ROCK + 'Point(9) = {.2, .2, 0}; Physical Point("p") = {9};',
          'physical point "p" is no node'),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fracflow.errors import InputError
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 
@@ -113,3 +114,26 @@ def test_waves_that_come_in_to_damped_cells_are_told_before_a_run(tmp_path, over
     (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
     lines = advice(load(tmp_path / "scene.toml", [override]))
     assert any("waves that come in" in line for line in lines) == warns
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        ([], ""),
+        (["stage.0.kind=quasi-static"], "and no stage has inertia"),
+        (
+            ["stage=[{kind='quasi-static', time_step=1, steps=2}, {kind='dynamic', steps=1, time_step=1e-3}]"],
+            "begins at 2 s",
+        ),
+    ],
+)
+def test_waves_that_no_stage_sees_are_told(tmp_path, overrides, told):
+    (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
+    lines = [line for line in advice(load(tmp_path / "scene.toml", overrides)) if "its wave is over" in line]
+    assert len(lines) == bool(told) and all(told in line for line in lines)
+
+
+def test_a_wave_that_points_out_of_its_side_is_refused(run_scene):
+    with pytest.raises(InputError, match=r"direction = \[-1.0, 0.0\] points out .* \[1.0, 0.0\] points in"):
+        run_scene(WAVE, "absorbing.0.wave.direction=[-1, 0]")

@@ -90,8 +90,15 @@ def with_gmsh(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stop_on_errors() -> None:
-    if any(line.startswith("Error") for line in gmsh.logger.get()):
+    lines = gmsh.logger.get()
+    if any(line.startswith("Error") for line in lines):
         raise RuntimeError("Gmsh reported an error")
+    for line in lines:
+        if "unknown" in line and "in physical" in line:  # Gmsh goes on without it, and a fracture would be shorter
+            said = line.removeprefix("Warning:").strip()
+            raise RuntimeError(
+                f"{said}: tags change in Boolean operations; find it again by Curve In BoundingBox {{...}}"
+            )
 
 
 def read_file(path: str) -> dict[str, Any]:

@@ -223,6 +223,13 @@ def _direction(comm: MPI.Comm, absorbing: Absorbing, facets: Facets) -> Floats:
     assert absorbing.wave is not None
     if absorbing.wave.direction is not None:
         inward = np.array(absorbing.wave.direction)
+        against = comm.allreduce(float((facets.normal @ inward).min(initial=np.inf)), op=MPI.MIN)
+        if SAME < against < np.inf:
+            turned = [float(-each) + 0.0 for each in absorbing.wave.direction]
+            raise InputError(
+                f"absorbing: on = {list(absorbing.on)}: wave.direction = {list(absorbing.wave.direction)} points out of the"
+                f" rock there: no wave comes in; {turned} points in"
+            )
     else:
         length = facets.size.sum(axis=1)
         inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
