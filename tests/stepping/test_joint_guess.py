@@ -94,7 +94,10 @@ def test_guess_is_what_the_laws_find():
 @pytest.mark.parametrize("number", [1, 2], ids=["coulomb", "weakening"])
 @pytest.mark.parametrize("coupled", [True, False])
 def test_the_answer_of_one_law_is_its_own(number, coupled):
-    """To the bit, where all sections follow it, and however they move; sections of a straight fault among them."""
+    """To the bit, where all sections follow it, and however they move; sections of a straight fault among them, or nearly so.
+
+    Newton's method takes as few iterations as with the law itself.
+    """
     rng = np.random.default_rng(4 + number)
     group = joints_of(rng).laws[number]
     count = len(group.sections)
@@ -104,30 +107,31 @@ def test_the_answer_of_one_law_is_its_own(number, coupled):
         2, empty, empty, np.ones(count), np.zeros((count, 2)), (), (LawGroup(np.arange(count), law),), np.zeros(1)
     )
     rows, shared = np.arange(count).reshape(-1, 2), rng.uniform(0.1, 1.0, (count // 2, 1, 1)) / STIFF
-    turned = np.tile(np.eye(2), (2, 2)) * shared  # both walls of one node
-    half, whole = count // 4, turned + np.eye(4) * shared * rng.integers(0, 2, (count // 2, 1, 1))
-    batches = (Batch(rows[:half], turned[:half]), Batch(rows[half:], whole[half:]))
+    turned = np.tile(np.eye(2) + 0.1 * (1.0 - np.eye(2)), (2, 2)) * shared  # both walls of one node
+    near = turned * (1.0 + 1e-7 * np.kron(np.eye(2), np.ones((2, 2))))
+    third, whole = count // 6, turned + np.eye(4) * shared * rng.integers(0, 2, (count // 2, 1, 1))
+    kinds = zip(np.split(rows, (third, 2 * third)), (turned, near, whole), (0, third, 2 * third), strict=True)
+    batches = tuple(Batch(each, matrix[first : first + len(each)]) for each, matrix, first in kinds)
     stays = Exchange(MPI.COMM_SELF, np.arange(count), np.array([count]), np.array([count]))
     operators = SimpleNamespace(joints=joints, layout=SimpleNamespace(comm=MPI.COMM_SELF), blocks=None)
     solver, plain = (JointSolver(operators, Clusters(stays, batches), 30) for _ in range(2))
     plain.guess = None
     sections = joints.evaluate(np.zeros((count, 2)), joints.initial_history())
-    slid = 0
+    slid, iterations = 0, np.zeros(2)
     for step in range(STEPS):
         free = np.sin(0.1 * step + np.arange(count))[:, None] * [4e-5, 2e-5] + 1e-5 * rng.normal(size=(count, 2))
         trial, time = solver.guess.solve(sections, free, 1.0), LawStep(0.1 * step, 0.1, True)
-        judged, wanted = (
-            joints.evaluate(trial.strain, trial.status, time),
-            plain.solve(sections, free, 1.0, time).sections,
-        )
+        judged, solved = joints.evaluate(trial.strain, trial.status, time), plain.solve(sections, free, 1.0, time)
+        wanted = solved.sections
         assert trial.iterations > 0 and trial.answer is not None
+        iterations += [trial.iterations, solved.iterations]
         for name in ("traction", "tangent", "inelastic", "strength", "utilisation", "margin", "is_sliding", "is_open"):
             assert np.array_equal(getattr(trial.answer, name), getattr(judged, name)), name
         assert np.allclose(trial.answer.stored, judged.stored, rtol=1e-14)
         assert all(np.array_equal(values, judged.history[0][name]) for name, values in trial.answer.history[0].items())
-        assert np.abs(trial.strain - wanted.strain).max() < 1e-12 * np.abs(wanted.strain - sections.strain).max()
+        assert np.abs(trial.strain - wanted.strain).max() < 1e-11 * np.abs(wanted.strain - sections.strain).max()
         sections, slid = wanted, slid + int(wanted.is_sliding.sum())
-    assert slid > STEPS
+    assert slid > STEPS and iterations[0] < 1.05 * iterations[1]
 
 
 @pytest.mark.parametrize(
