@@ -82,7 +82,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             before, step = state.time, regimes.wave_step(state, event)
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
-            refuse_made_energy(state)
+            refuse_made_energy(model.operators, state, state.time - before)
             event = replace(event.moved_to(state, stage.at_rest), count=event.count + (found.reached == 1.0))
             absorbs = any(term.absorbs for term in model.scene.terms)
             if line := event.is_unstable(

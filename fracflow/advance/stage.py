@@ -165,7 +165,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
         state, n = found.state, n + (found.reached == 1.0)
         if stepper.inertia:
-            refuse_made_energy(state)
+            refuse_made_energy(model.operators, state, dt)
         failed = utilisation(model, state.sections) >= 1.0
         if failed and stage.then == "hold" and not held:
             held, controls[control] = True, state.controls[control]

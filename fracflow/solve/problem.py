@@ -264,7 +264,10 @@ class StepProblem:
     def _driven(self) -> list[tuple[Ints, float | Floats, float | Floats]]:
         """Local numbers (n,), speed and acceleration of unknowns that the scene moves, where not the integrator does."""
         time, around = self.time, self.rule.adjacent
-        parts = self.loads.supports if self.alphas.a0 > 0.0 and max(around) > 0.0 else ()
+        # the velocity d/dt of backward Euler moves the volume that it should, and does not ring
+        follows = not (self.alphas.a4 or self.alphas.a5 or self.alphas.a6)
+        is_driven = self.alphas.a0 > 0.0 and max(around) > 0.0 and not follows
+        parts = self.loads.supports if is_driven else ()
         return [(part.numbers, part.speed(time, around), part.acceleration(time, around)) for part in parts]
 
     def uptake(self) -> PETSc.Vec | None:
