@@ -283,8 +283,8 @@ def made_and_brought(totals: Mapping[str, float]) -> tuple[float, float]:
 def refuse_made_energy(ops: Operators, state: State, dt: float) -> None:
     """Raise SolveError, on every rank, and free a state, where ``MOST_MADE`` times more energy was made than brought.
 
-    A share ``UNSEEN`` of dt^2 a M a/2 is round-off, with the length ``dt`` of the step before: a support that starts with a jerk
-    has that at once, and its work cancels. Collective.
+    A share ``UNSEEN`` of dt^2 a M a/2 is round-off, with the length ``dt`` of the step before. A support that starts with a
+    jerk has that at once, and its work cancels. Collective.
     """
     made, brought = made_and_brought(state.energy)
     if made <= MOST_MADE * brought:
