@@ -6,15 +6,14 @@ import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh, SplitMesh
-from fracflow.mesh.files.formats import FORMATS
 from fracflow.mesh.files.geo_check import check_geo
-from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_worker
+from fracflow.mesh.files.gmsh import FORMATS, open_checked, open_msh, open_other, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
@@ -37,6 +36,8 @@ MOST_CELLS = 1e8
 MOST_JOINTS = 1_000_000  # in rock that is not meshed
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
 SMALL = 0.25  # of the size at fractures: smaller cells are reported
+SHAPE = 0.433  # area of an equilateral triangle over its side squared
+BYTES_PER_CELL = 50  # of a mesh file, with half a node
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,49 @@ class GeometrySpec:
     snap: float | None = None
     nodes: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     unit: str = ""
+
+    def raw(self) -> RawMesh:
+        """Its mesh by ``build_mesh``. Raises InputError."""
+        return build_mesh(self)
+
+    @property
+    def expected(self) -> float:
+        """How many cells its mesh has, at a guess: away from fractures, and where sizes grow beside them."""
+        fine = self.size_at_fractures or self.size
+        away = polygon_area(np.asarray(self.domain, dtype=float)) / self.size
+        beside = 2.0 * _length(self.traces) / self.growth if fine < self.size else 0.0
+        return float(away / self.size + beside / fine) / (1.0 if self.cells == "quads" else SHAPE)
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh in a file, and the other arguments of ``read_mesh``."""
+
+    path: Path
+    fractures: tuple[str, ...]
+    trust: bool = False
+    folder: Path | None = None
+
+    def raw(self) -> RawMesh:
+        """Its mesh by ``read_mesh``. Raises InputError."""
+        return read_mesh(self.path, self.fractures, self.trust, self.folder)
+
+    @property
+    def expected(self) -> float:
+        """How many cells it has, at a guess by its size; 0 of a .geo, whose size says nothing, and without a file."""
+        is_mesh = self.path.suffix != ".geo" and self.path.is_file()
+        return self.path.stat().st_size / BYTES_PER_CELL if is_mesh else 0.0
+
+
+class MeshSource(Protocol):
+    """A mesh that is yet to be read or made, and split."""
+
+    def raw(self) -> RawMesh:
+        """Read or make it. Raises InputError."""
+
+    @property
+    def expected(self) -> float:
+        """How many cells it has, at a guess."""
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
@@ -223,9 +267,14 @@ def side_names(domain: Floats) -> list[str]:
     return [places[tuple(np.sign(np.round(place / extent, 6)).astype(int).tolist())] for place in middle]
 
 
+def _length(traces: Iterable[Trace]) -> float:
+    """Of all traces [length]."""
+    return float(sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in traces))
+
+
 def _check_sizes(geometry: GeometrySpec, area: float) -> None:
     """Raise InputError for mesh sizes that no machine could serve."""
-    length = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in geometry.traces)
+    length = _length(geometry.traces)
     fine = geometry.size_at_fractures or geometry.size
     counts = {"size": (geometry.size, area / geometry.size**2), "size_at_fractures": (fine, length / fine)}
     for key, (value, count) in counts.items():

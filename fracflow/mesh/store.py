@@ -107,7 +107,7 @@ class SlicedFile:
     def rows(self, name: str, first: int, last: int) -> NDArray[Any]:
         """Rows (n, ...) of an array as they were sealed, in numbers of 8 bytes. Raises InputError."""
         kind, shape = self.layout[name]
-        found = np.empty((last - first, *shape[1:]), dtype=np.float64 if name in _REALS else np.int64)
+        found = np.empty((last - first, *shape[1:]), dtype=dtype_of(name))
         for start, end in slabs_of(np.dtype(kind), shape, first, last):
             values, (_, below) = self._file.rows(name, start, end), self._bounds[name]
             with self._refusing():
@@ -122,6 +122,11 @@ class SlicedFile:
             yield
         except (KeyError, ValueError) as error:
             raise InputError(f"{self.path}: {_NO_MESH} ({error}); {self._remedy}") from None
+
+
+def dtype_of(name: str) -> type[np.float64] | type[np.int64]:
+    """Type of the numbers of an array in memory."""
+    return np.float64 if name in _REALS else np.int64
 
 
 def cells_of(path: Path, remedy: str) -> tuple[int, int]:

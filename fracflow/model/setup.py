@@ -30,7 +30,7 @@ from fracflow.mesh.locate import (
 )
 from fracflow.mesh.near_cells import covers, near_cells, with_near_first
 from fracflow.mesh.places import extent_of, place_text
-from fracflow.mesh.read import GROWTH, SPLIT, GeometrySpec, build_mesh, build_unmeshed, read_mesh
+from fracflow.mesh.read import GROWTH, SPLIT, GeometrySpec, MeshFile, MeshSource, build_unmeshed
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.mesh.store import load_split
 from fracflow.model.contact_mass import redistributed, redistributes
@@ -145,11 +145,13 @@ def split_of(scene: Scene) -> SplitMesh:
     if scene.is_unbounded:
         return build_unmeshed(geometry_of(scene), scene.refine)
     path = scene.mesh_path
-    if path is None:
-        return split(build_mesh(geometry_of(scene)))
-    return (
-        load_split(path) if path.suffix == SPLIT else split(read_mesh(path, scene.fracture, scene.trust, scene.folder))
-    )
+    return load_split(path) if path is not None and path.suffix == SPLIT else split(source_of(scene).raw())
+
+
+def source_of(scene: Scene) -> MeshSource:
+    """Where the mesh of a scene comes from that is not split yet, and whose sizes are known."""
+    path = scene.mesh_path
+    return geometry_of(scene) if path is None else MeshFile(path, tuple(scene.fracture), scene.trust, scene.folder)
 
 
 def read_sized(scene: Scene) -> SplitMesh:

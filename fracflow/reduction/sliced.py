@@ -1,21 +1,39 @@
-"""Where a model takes its mesh from: a file that ranks read in slices, or a mesh that rank 0 has whole."""
+"""Where a model takes its mesh from: a file that ranks read in slices, or a mesh that rank 0 has whole.
+
+Rank 0 has a small one whole, and a coarse one that ranks cut. Ranks take a large one from a file: that of ``fracflow mesh``,
+that of a run, or a temporary one that a process of its own writes.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Protocol
 
 from fracflow._petsc import MPI
+from fracflow.errors import InputError
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.read import SPLIT
 from fracflow.mesh.slabs import Distributed
 from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
-from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
-from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import Model, Placed, fitting, fractures_of, made_ready, place, places_of, read_sized
+from fracflow.mesh.slices.reading import SavedMesh, frame_of, is_large, read, slices_of
+from fracflow.mesh.split import split
+from fracflow.mesh.store import load_mesh, load_split, save_mesh
+from fracflow.model.setup import (
+    Model,
+    Placed,
+    fitting,
+    fractures_of,
+    made_ready,
+    place,
+    places_of,
+    source_of,
+    split_of,
+)
 from fracflow.scene.scene import Scene
 from fracflow.storage.sealed import SealedFile
 
@@ -54,7 +72,7 @@ class Whole:
 
     def taken(self, scene: Scene, comm: MPI.Comm) -> Taken:
         """The mesh with the places of a scene. Raises InputError, on every rank. Collective."""
-        return _on_root(scene, comm, self.mesh)
+        return _placed(scene, comm, on_root(comm, lambda: self.mesh and fitting(scene, self.mesh)))
 
     def partition(self, arrays: SealedFile | None) -> Ints | None:
         """Rank (cells,) of each cell before cells are cut, as a run recorded it, on rank 0."""
@@ -85,7 +103,7 @@ class InFile:
         found = with_near_first(raw, places)
         del raw  # which is as large as the slices
         if found is None:
-            return _on_root(scene, comm, on_root(comm, lambda: load_mesh(saved.path, saved.root)))
+            return _placed(scene, comm, on_root(comm, lambda: fitting(scene, load_mesh(saved.path, saved.root))))
         near, slices = found
         return distributed(scene, on_root(comm, lambda: near and _made_ready(scene, near, saved)), slices)
 
@@ -122,9 +140,49 @@ def kept_mesh(comm: MPI.Comm, path: Path, root: str = "") -> Kept:
 
 def taken(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> Taken:
     """The mesh of a scene, or the one ``kept`` of it, with its places. Raises InputError, on every rank. Collective."""
-    if kept is None and (saved := comm.bcast(on_root(comm, lambda: _saved(scene)), root=0)) is not None:
-        kept = InFile(saved)
-    return _on_root(scene, comm) if kept is None else kept.taken(scene, comm)
+    if kept is not None:
+        return kept.taken(scene, comm)
+    with TemporaryDirectory(prefix="fracflow-mesh-") if comm.rank == 0 else nullcontext("") as folder:
+        saved, mesh = _read(scene, comm, Path(folder))
+        if saved is not None:
+            return InFile(saved).taken(scene, comm)
+    return _placed(scene, comm, on_root(comm, lambda: mesh and made_ready(scene, mesh)))
+
+
+def _read(scene: Scene, comm: MPI.Comm, folder: Path) -> tuple[SavedMesh | None, SplitMesh | None]:
+    """The file that ranks take slices of, on every rank; without one, the split mesh on rank 0.
+
+    folder  empty, on rank 0, where such a file may be written
+
+    Raises InputError, on every rank. Collective.
+    """
+    saved, mesh = on_root(comm, lambda: _read_on_root(scene, folder)) or (None, None)
+    return comm.bcast(saved, root=0), mesh
+
+
+def _read_on_root(scene: Scene, folder: Path) -> tuple[SavedMesh | None, SplitMesh | None]:
+    if scene.is_unbounded or scene.refine:  # cells that ranks cut come to them few and large
+        return None, split_of(scene)
+    path = scene.mesh_path
+    if path is not None and path.suffix == SPLIT:
+        saved = slices_of(path)
+        return saved, split_of(scene) if saved is None else None
+    source = source_of(scene)
+    try:
+        if is_large(source.expected):
+            from fracflow.mesh.slices.making import made  # few runs need it
+
+            file = made(source, folder)
+        else:
+            mesh = split(source.raw())
+            if not is_large(len(mesh.cells)):
+                return None, mesh
+            save_mesh(mesh, file := folder / "mesh.h5")
+    except OSError as error:
+        where = f"{error.filename or folder}: {error.strerror or error}"
+        raise InputError(f"mesh: cannot be written for ranks to read: {where}; make room, or set TMPDIR") from None
+    saved = slices_of(file)
+    return (None, load_split(file)) if saved is None else (replace(saved, is_passed_on=True), None)
 
 
 def distributed(scene: Scene, near: SplitMesh | None, slices: Slices) -> Taken:
@@ -138,9 +196,8 @@ def distributed(scene: Scene, near: SplitMesh | None, slices: Slices) -> Taken:
     return with_sums_of_cells(near, blocks), placed, blocks
 
 
-def _on_root(scene: Scene, comm: MPI.Comm, kept: SplitMesh | None = None) -> Taken:
-    """The mesh, on rank 0, and the scene's places. Raises InputError, on every rank. Collective."""
-    mesh = on_root(comm, lambda: fitting(scene, kept) if kept is not None else read_sized(scene))
+def _placed(scene: Scene, comm: MPI.Comm, mesh: SplitMesh | None) -> Taken:
+    """A mesh that rank 0 has, and the scene's places on it. Raises InputError, on every rank. Collective."""
     placed: Placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     return mesh, placed, None
 
@@ -158,11 +215,3 @@ def kept_parts(model: Model) -> dict[str, Distributed]:
     mesh = None if model.mesh is None else model.stated_mesh
     has_sums = blocks.comm.bcast(mesh is not None and mesh.sums is not None, root=0)
     return sliced_parts(blocks) if has_sums else {}
-
-
-def _saved(scene: Scene) -> SavedMesh | None:
-    """The file that ranks take slices of, if they do. Raises InputError."""
-    path = scene.mesh_path
-    if path is None or path.suffix != SPLIT or scene.refine:  # cells that ranks cut come to them few and large
-        return None
-    return slices_of(path)

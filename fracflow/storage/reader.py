@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.storage import worker as h5_worker
+from fracflow.storage.child import environment
 from fracflow.storage.files import check_regular
 
 Arrays = dict[str, NDArray[Any]]
@@ -31,7 +32,6 @@ Layout = dict[str, tuple[str, tuple[int, ...]]]
 PATIENCE = 10.0  # seconds for a small file
 START = 120.0  # seconds until the process is ready: a cluster may fetch its libraries through a busy network
 SLOWEST = 5e6  # bytes a second of a large one
-OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,10 @@ class Reader:
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
             return self._process
         self.close()
-        kept = {name: value for name, value in os.environ.items() if not name.startswith(OF_RANKS)}
-        kept |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_USE_FILE_LOCKING": "FALSE"}
         try:
             self._process = subprocess.Popen(
                 [sys.executable, h5_worker.__file__],
-                env=kept,
+                env=environment() | {"OMP_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

@@ -51,7 +51,7 @@ METHODS = {
     "direct": 'method.coupling = "whole-lu"',
 }
 PARTS = {
-    "mesh": ["model.setup:read_mesh", "model.setup:split", "model.setup:near_mesh", "reduction.sliced:load_mesh"],
+    "mesh": ["reduction.sliced:_read_on_root", "model.setup:near_mesh", "reduction.sliced:load_mesh"],
     "places and checks": [
         "reduction.sliced:place",
         "reduction.prepare:unresolved",

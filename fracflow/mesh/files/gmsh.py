@@ -6,8 +6,6 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,17 +17,15 @@ import numpy as np
 
 from fracflow.errors import MOST_NAMED, InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.files.formats import FORMATS, sizes_beside
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
-from fracflow.storage.reader import OF_RANKS
+from fracflow.storage.child import LONGEST_REPORT, run_module
 
-PACKAGE_PARENT = Path(__file__).resolve().parents[2]
 SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
 # To read a mesh file of any size, and more for each of its bytes: memory [bytes] and CPU time [s].
 LEAST_MEMORY, MEMORY_PER_BYTE = 1 << 30, 100
 LEAST_SECONDS, BYTES_PER_SECOND = 20, 100_000
-LONGEST_REPORT = 4096
+FORMATS = {".inp": "abaqus", ".vtu": "vtu", ".e": "exodus", ".exo": "exodus", ".xdmf": "xdmf"}  # of other programs
 OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Unable to allocate", "ut of memory")
 
 
@@ -91,6 +87,12 @@ def open_other(path: Path) -> Elements:
     return run_worker(job, str(path))
 
 
+def sizes_beside(path: Path) -> Mapping[str, int]:
+    """Sizes [bytes] of a mesh file and of HDF5 files that may be its data."""
+    names = [path, *path.parent.glob("*.h5"), *path.parent.glob("*.hdf5")] if path.suffix == ".xdmf" else [path]
+    return {each.name: each.stat().st_size for each in names if each.is_file()}
+
+
 @dataclass(frozen=True)
 class Limits:
     """Limits of the process of Gmsh: CPU time [s], memory and the size of a file it writes [bytes]."""
@@ -149,7 +151,7 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             (folder / "mesh.msh").symlink_to(job["link"])
         given = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
         (folder / "job.json").write_text(json.dumps(given), encoding="utf-8")
-        code, said = _run(folder, allowed)
+        code, said = run_module("fracflow.mesh.files.gmsh_worker", [name], folder, allowed.wall)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
             remedy = f"let it make fewer cells, or set {SECONDS[0]} to more seconds"
@@ -179,41 +181,6 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             group_tags=arrays["group_tag"],
             group_names=tuple(head["group_name"]),
         )
-
-
-def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:
-    """Run the worker in its folder: its exit code, None if it took too long, and the end of what it said.
-
-    Whatever ends this process, or the wait, ends the worker and all that it started.
-    """
-    paths = [str(PACKAGE_PARENT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    with (folder / "said.txt").open("wb") as said:
-        worker = subprocess.Popen(
-            [sys.executable, "-m", "fracflow.mesh.files.gmsh_worker", str(folder)],
-            cwd=folder,
-            env={
-                **{name: value for name, value in os.environ.items() if not name.startswith(OF_RANKS)},
-                "PYTHONPATH": os.pathsep.join(paths),
-                "OPENBLAS_NUM_THREADS": "1",
-                "HDF5_USE_FILE_LOCKING": "FALSE",
-            },
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,
-        )
-        code: int | None = None
-        try:
-            code = worker.wait(allowed.wall)
-        except subprocess.TimeoutExpired:
-            pass
-        finally:
-            if worker.returncode is None:
-                os.killpg(worker.pid, signal.SIGKILL)
-                worker.wait()
-    with (folder / "said.txt").open("rb") as read:
-        read.seek(max(0, (folder / "said.txt").stat().st_size - LONGEST_REPORT))
-        return code, read.read().decode("utf-8", "replace")
 
 
 def _remedy(what: str, said: str, allowed: Limits) -> str:

@@ -6,12 +6,9 @@ in C++; alone in its process, it takes nothing with it. Reports of Gmsh go to er
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
-import os
 import resource
-import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,9 +17,9 @@ import gmsh
 import numpy as np
 
 from fracflow.mesh.files.sets import CORNERS, Found
+from fracflow.storage.child import end_with
 
 GRACE = 5  # seconds of CPU time
-PR_SET_PDEATHSIG = 1  # of prctl
 KINDS = {15: "point", 1: "line", 2: "triangle", 3: "quad"}  # Gmsh's element types
 FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles that make good quads in pairs
 
@@ -68,10 +65,7 @@ def keep_within(seconds: int, memory: int, parent: int) -> None:
         least = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
         # a signal that says why comes first, then one that nothing withstands
         resource.setrlimit(kind, (least, least + GRACE if kind == resource.RLIMIT_CPU and least == limit else least))
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:
-            sys.exit(1)
+    end_with(parent)
 
 
 def with_gmsh(job: dict[str, Any]) -> dict[str, Any]:

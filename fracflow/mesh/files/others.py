@@ -18,7 +18,7 @@ import numpy as np
 
 from fracflow.mesh.files.abaqus import abaqus_sets, check_abaqus, read_abaqus
 from fracflow.mesh.files.exodus import exodus_sets
-from fracflow.mesh.files.formats import FORMATS
+from fracflow.mesh.files.gmsh import FORMATS
 from fracflow.mesh.files.sets import CORNERS, DIMS, FileFault, Found, Rows, Set
 from fracflow.storage.files import shown_plain
 from fracflow.storage.worker import check_leads_nowhere

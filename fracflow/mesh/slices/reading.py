@@ -1,7 +1,7 @@
 """From a saved mesh to a range of rows of each of its arrays on every rank, which opens the file and reads its own rows.
 
 HDF5 lets any number of processes read a file at once: none needs MPI for it, and no rank passes rows on. The seal shows whether
-all have opened the same file.
+all have opened the same file. Of a file that rank 0 alone may see, it passes rows on, those of one rank at a time.
 """
 
 from __future__ import annotations
@@ -15,11 +15,20 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.mesh.agreement import on_each
+from fracflow.mesh.agreement import on_each, on_root
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.slices.directory import Directory, Route
-from fracflow.mesh.store import ARRAYS, SLICED, WRITE_ONE, SlicedFile, cells_of, no_plane_rock, refuse_joined_ends
-from fracflow.storage.reader import end_reading
+from fracflow.mesh.slices.directory import Directory, Route, Values
+from fracflow.mesh.store import (
+    ARRAYS,
+    SLICED,
+    WRITE_ONE,
+    SlicedFile,
+    cells_of,
+    dtype_of,
+    no_plane_rock,
+    refuse_joined_ends,
+)
+from fracflow.storage.reader import Layout, end_reading
 from fracflow.storage.sealed import AGAIN
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -34,11 +43,18 @@ class SavedMesh:
 
     root  of its seal, where that is known
     near  how many cells come first in a run that goes on; -1 of a new run, which says so itself
+    is_passed_on  whether rank 0 reads it for all: others may not see its folder
     """
 
     path: Path
     root: str = ""
     near: int = -1
+    is_passed_on: bool = False
+
+
+def is_large(cells: float) -> bool:
+    """Whether ranks take slices of a mesh with so many cells."""
+    return cells >= FEWEST
 
 
 def slices_of(path: Path, root: str | None = None) -> SavedMesh | None:
@@ -51,7 +67,7 @@ def slices_of(path: Path, root: str | None = None) -> SavedMesh | None:
     On one rank. Raises InputError where it is no saved mesh.
     """
     cells, near = cells_of(path, WRITE_ONE if root is None else AGAIN)
-    if cells < FEWEST or (root is not None and near < 0):
+    if not is_large(cells) or (root is not None and near < 0):
         return None
     return SavedMesh(path, root or "", -1 if root is None else near)
 
@@ -130,14 +146,18 @@ class Raw:
 
 def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
     """Read a saved mesh of plane rock. Raises InputError, on every rank. Collective."""
-    file = on_each(comm, lambda: _opened(saved))
-    _refuse_others(comm, file)
-    ranges = {name: Directory(comm, shape[0]) for name, (_, shape) in file.layout.items()}
-    found = on_each(comm, lambda: {name: file.rows(name, ranges[name].first, ranges[name].last) for name in ARRAYS})
-    if comm.rank:  # rank 0 reads other files
-        end_reading()
+    names, layout, file = _opened_by_one(comm, saved) if saved.is_passed_on else _opened_by_all(comm, saved)
+    ranges = {name: Directory(comm, shape[0]) for name, (_, shape) in layout.items()}
+    if saved.is_passed_on:
+        found = {name: _passed_on(comm, file, name, ranges[name], layout[name][1][1:]) for name in ARRAYS}
+    else:
+        assert file is not None
+        here = file
+        found = on_each(comm, lambda: {name: here.rows(name, ranges[name].first, ranges[name].last) for name in ARRAYS})
+        if comm.rank:  # rank 0 reads other files
+            end_reading()
     of_facets: dict[str, Any] = {name: found[name] for name in ARRAYS if name not in SLICED}
-    rows = replace(file.names, **of_facets)
+    rows = replace(names, **of_facets)
     cells, nodes, cell = ranges["cells"], ranges["points"], found["cells"]
     corner = np.unique(cell)
     corner = corner[np.searchsorted(corner, 0) :]
@@ -147,6 +167,46 @@ def read(comm: MPI.Comm, saved: SavedMesh) -> Raw:
     raw = Raw(saved, cells, nodes, cell, found["cell_rock"], found["points"], found["origin"], corner, local,
         corner_points, facets)  # fmt: skip
     return _checked(raw)
+
+
+def _opened_by_all(comm: MPI.Comm, saved: SavedMesh) -> tuple[SplitMesh, Layout, SlicedFile | None]:
+    """Names, layout and file of a mesh, which each rank opens. Raises InputError, on every rank. Collective."""
+    file = on_each(comm, lambda: _opened(saved))
+    _refuse_others(comm, file)
+    return file.names, file.layout, file
+
+
+def _opened_by_one(comm: MPI.Comm, saved: SavedMesh) -> tuple[SplitMesh, Layout, SlicedFile | None]:
+    """The same of one that rank 0 opens, None elsewhere. Raises InputError, on every rank. Collective."""
+    file = on_root(comm, lambda: _opened(saved))
+    names, layout = comm.bcast(None if file is None else (file.names, file.layout), root=0)
+    return names, layout, file
+
+
+def _passed_on(comm: MPI.Comm, file: SlicedFile | None, name: str, of: Directory, width: tuple[int, ...]) -> Values:
+    """Rows (s, ...) of this rank's range of an array in numbers of 8 bytes, which rank 0 reads. Collective.
+
+    width  shape of a row
+
+    Raises InputError, on every rank.
+    """
+    mine: Values | None = None
+    for rank in reversed(range(comm.size)):  # its own the last: never more than those of one other
+        first, last = int(of.starts[rank]), int(of.starts[rank + 1])
+        part = _read_on_root(comm, file, name, first, last)
+        if rank and part is not None:
+            comm.Send([np.ascontiguousarray(part).view(np.int64), MPI.INT64_T], rank)
+        elif rank and rank == comm.rank:
+            mine = np.empty((last - first, *width), dtype=dtype_of(name))
+            comm.Recv([mine.view(np.int64), MPI.INT64_T], 0)
+        elif rank == 0 and part is not None:
+            mine = part
+    assert mine is not None
+    return mine
+
+
+def _read_on_root(comm: MPI.Comm, file: SlicedFile | None, name: str, first: int, last: int) -> Values | None:
+    return on_root(comm, lambda: None if file is None else file.rows(name, first, last))
 
 
 def _opened(saved: SavedMesh) -> SlicedFile:

@@ -1,0 +1,60 @@
+"""A Python process of its own beside a rank: it is no rank itself, and ends with the process that waits for it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
+ALONE = {"OPENBLAS_NUM_THREADS": "1", "HDF5_USE_FILE_LOCKING": "FALSE"}
+LONGEST_REPORT = 4096
+PACKAGE_PARENT = Path(__file__).resolve().parents[2]
+PR_SET_PDEATHSIG = 1  # of prctl
+
+
+def environment() -> dict[str, str]:
+    """The variables of this process, without those that make it a rank."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(OF_RANKS)} | ALONE
+
+
+def run_module(module: str, words: Sequence[str], folder: Path, wall: float | None = None) -> tuple[int | None, str]:
+    """Run a module of fracflow in a folder, said.txt beside it: its exit code, None after ``wall`` s, and what it said last.
+
+    Whatever ends this process, or the wait, ends the module and all that it started. Raises OSError where it cannot start.
+    """
+    paths = [str(PACKAGE_PARENT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    with (folder / "said.txt").open("wb") as said:
+        worker = subprocess.Popen(
+            [sys.executable, "-m", module, *words],
+            cwd=folder,
+            env=environment() | {"PYTHONPATH": os.pathsep.join(paths)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
+        code: int | None = None
+        try:
+            code = worker.wait(wall)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            if worker.returncode is None:
+                os.killpg(worker.pid, signal.SIGKILL)
+                worker.wait()
+    with (folder / "said.txt").open("rb") as read:
+        read.seek(max(0, (folder / "said.txt").stat().st_size - LONGEST_REPORT))
+        return code, read.read().decode("utf-8", "replace")
+
+
+def end_with(parent: int) -> None:
+    """Let the system end this process when its parent ends, or now where that is another by now."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:
+            sys.exit(1)

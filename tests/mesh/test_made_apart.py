@@ -1,0 +1,80 @@
+"""A large mesh by a process of its own: the same mesh, the same errors, and a line where that process ends."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+from pages import ROOT
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.mesh.read import MeshFile
+from fracflow.mesh.slices import reading
+from fracflow.mesh.slices.making import made
+from fracflow.mesh.split import split
+from fracflow.mesh.store import ARRAYS, load_split
+from fracflow.model.setup import source_of
+from fracflow.reduction.sliced import taken
+from fracflow.scene.scene import load
+
+pytestmark = pytest.mark.serial
+
+
+def test_it_is_the_mesh_that_this_process_would_make(tmp_path):
+    source = source_of(load(ROOT / "meshes/crossings/scene.toml"))
+    apart, mesh = load_split(made(source, tmp_path)), split(source.raw())
+    for name in ARRAYS:
+        assert np.array_equal(getattr(apart, name), getattr(mesh, name)), name
+    assert (apart.rocks, apart.fractures, apart.sides, apart.notes) == (
+        mesh.rocks,
+        mesh.fractures,
+        mesh.sides,
+        mesh.notes,
+    )
+
+
+@pytest.mark.parametrize("scene", ["injection_cycle", "mapped_network"])
+def test_cells_are_expected_at_a_guess(scene):
+    source = source_of(load(ROOT / "meshes" / scene / "scene.toml"))
+    assert 0.5 < source.expected / len(source.raw().cells) < 2.0
+
+
+def test_its_errors_are_those_of_this_process(tmp_path):
+    (tmp_path / "bad.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\nnonsense\n$EndNodes\n")
+    source, said = MeshFile(tmp_path / "bad.msh", ("default",)), []
+    for read in (source.raw, lambda: made(source, tmp_path)):
+        with pytest.raises(InputError, match=r"bad\.msh: ") as error:
+            read()
+        said.append(str(error.value))
+    assert said[0] == said[1]
+
+
+class _Ends:
+    """A source whose reading does something else."""
+
+    expected = float(reading.FEWEST)
+
+    def __init__(self, work, *given):
+        self._does = work, given
+
+    def __reduce__(self):
+        return self._does
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        (
+            _Ends(signal.raise_signal, signal.SIGKILL),
+            "mesh: the process that makes it was ended by signal 9; give it more",
+        ),
+        (_Ends(int, "no number"), "mesh: the process that makes it failed: ValueError: invalid literal"),
+        (_Ends(os.listdir, "/none"), "mesh: cannot be written for ranks to read: .*; make room, or set TMPDIR"),
+    ],
+    ids=["killed", "failed", "no room"],
+)
+def test_its_end_is_told_in_a_line(source, says, monkeypatch):
+    monkeypatch.setattr("fracflow.reduction.sliced.source_of", lambda _: source)
+    with pytest.raises(InputError, match=says):
+        taken(load(ROOT / "meshes/crossings/scene.toml"), MPI.COMM_SELF, None)
