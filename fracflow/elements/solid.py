@@ -40,6 +40,18 @@ def _strain_operator(points: Floats, rule: Rule, numbers: Ints | None) -> tuple[
     return operator.reshape(cells, places, -1, dim * nodes), weight
 
 
+def _strain(points: Floats, displacement: Floats, rule: Rule, numbers: Ints | None) -> tuple[Floats, Floats]:
+    """Voigt strains (n, q, v) of nodal displacements (n, k, dim), with engineering shear, and weights (n, q)."""
+    slope, weight = gradients(points, rule, numbers)
+    parts = VOIGT[slope.shape[-1]]
+    result = np.empty((*slope.shape[:2], len(parts)))
+    for row, (i, j) in enumerate(parts):
+        result[..., row] = np.einsum("nqk,nk->nq", slope[..., i], displacement[..., j])
+        if i != j:
+            result[..., row] += np.einsum("nqk,nk->nq", slope[..., j], displacement[..., i])
+    return result, weight
+
+
 def stiffness(points: Floats, elasticity: Floats, numbers: Ints | None = None) -> Floats:
     """(2.39) Element matrices of K_S: int B' D B.
 
@@ -96,8 +108,7 @@ def initial_stress_force(points: Floats, stress: Floats, numbers: Ints | None = 
 
 def strain_at_centroid(points: Floats, displacement: Floats, numbers: Ints | None = None) -> Floats:
     """Strain (n, v) at the centres of cells from nodal displacements (n, k, dim)."""
-    operator, _ = _strain_operator(points, rule_for(CENTROID_RULES, points), numbers)
-    return np.asarray(np.einsum("nij,nj->ni", operator[:, 0], displacement.reshape(len(points), -1)))
+    return _strain(points, displacement, rule_for(CENTROID_RULES, points), numbers)[0][:, 0]
 
 
 def stress(strain: Floats, elasticity: Floats, initial_stress: Floats | float = 0.0) -> Floats:
@@ -110,8 +121,7 @@ def strain_energy(points: Floats, displacement: Floats, elasticity: Floats, init
 
     elasticity (n, v, v), initial_stress (n, q, v) at the ``stiffness_points`` [stress]; per unit thickness in the plane.
     """
-    operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points), None)
-    strain = np.einsum("nqij,nj->nqi", operator, displacement.reshape(len(points), -1))
+    strain, weight = _strain(points, displacement, rule_for(STIFFNESS_RULES, points), None)
     mean_stress = 0.5 * np.einsum("nij,nqj->nqi", elasticity, strain) + initial_stress
     return np.asarray(np.einsum("nq,nqi,nqi->n", weight, strain, mean_stress))
 

@@ -21,7 +21,7 @@ class ByRows(Protocol):
     """Values (n, ...) of which some rows are taken: an array, or something that computes them."""
 
     def __getitem__(self, rows: Any, /) -> Any:
-        """Those of the rows (k,)."""
+        """Those of the rows (k,), or of a slice."""
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -124,18 +124,34 @@ class Distributed:
 def on_rank_0(comm: MPI.Comm, arrays: Mapping[str, Distributed]) -> Iterator[dict[str, Slabs] | None]:
     """Arrays that rank 0 may read by slabs, as long as it likes; to the others, which send their rows meanwhile, None.
 
-    Rank 0 may raise at any slab, or leave some out: the others go on without an error, on which the caller agrees. Collective.
+    Rank 0 may raise at any slab, or leave some out: the others go on without an error, on which the caller agrees. All ranks
+    compute their rows of an array when its first slab is asked for, and keep those of no other. Collective.
     """
+    turns = _Turns(arrays)
     if comm.rank:
         while (asked := comm.bcast(None, root=0)) is not None:
-            name, first, last = asked
-            arrays[name].order.collect(arrays[name].values, first, last)
+            turns.collect(*asked)
         yield None
         return
     try:
-        yield {name: Slabs(each.values.dtype, each.shape, _Asked(name, each)) for name, each in arrays.items()}
+        yield {name: Slabs(each.values.dtype, each.shape, _Asked(name, each, turns)) for name, each in arrays.items()}
     finally:
         comm.bcast(None, root=0)
+
+
+class _Turns:
+    """Arrays of which one at a time has its values (n, ...) on this rank."""
+
+    def __init__(self, arrays: Mapping[str, Distributed]) -> None:
+        self._arrays, self._name, self._values = arrays, "", np.zeros(0)
+
+    def collect(self, name: str, first: int, last: int) -> Values | None:
+        """As ``Order.collect``. Collective."""
+        array = self._arrays[name]
+        if name != self._name:
+            self._values = np.zeros(0)  # before there are others
+            self._name, self._values = name, array.values[:]
+        return array.order.collect(self._values, first, last)
 
 
 @dataclass(frozen=True)
@@ -144,10 +160,11 @@ class _Asked:
 
     name: str
     array: Distributed
+    turns: _Turns
 
     def __iter__(self) -> Iterator[Values]:
         for first, last in slabs_of(self.array.values.dtype, self.array.shape):
             self.array.order.comm.bcast((self.name, first, last), root=0)
-            slab = self.array.order.collect(self.array.values, first, last)
+            slab = self.turns.collect(self.name, first, last)
             assert slab is not None
             yield slab

@@ -27,6 +27,7 @@ from fracflow.scene.scene import Scene
 from fracflow.storage.sealed import Slabs, whole
 
 Data = dict[str, NDArray[Any]]
+ROWS_AT_ONCE = 2**16
 
 
 class ShownRock(NamedTuple):
@@ -111,7 +112,7 @@ def _geometry(blocks: Blocks) -> dict[str, Distributed]:
 
 @dataclass(frozen=True)
 class _Field:
-    """A field of a rank's rock, computed for the rows that are asked for: all fields of all rows may fill the memory.
+    """A field of a rank's rock, computed when it is asked for: all fields at once may fill the memory.
 
     name    as ``stored`` gives it
     count   of rows
@@ -126,8 +127,16 @@ class _Field:
     moves: bool
     far: Floats
 
-    def __getitem__(self, rows: Ints) -> NDArray[Any]:
-        """Values (k, ...) at own nodes, or at cells (k,)."""
+    def __getitem__(self, rows: Ints | slice) -> NDArray[Any]:
+        """Values (k, ...) at own nodes, or at cells (k,), some at a time: what is found on the way is larger."""
+        chosen = np.arange(self.count)[rows]
+        found = np.empty((len(chosen), *self._none.shape[1:]), dtype=self.dtype)
+        for first in range(0, len(chosen), ROWS_AT_ONCE):
+            some = slice(first, first + ROWS_AT_ONCE)
+            found[some] = self._of(chosen[some])
+        return found
+
+    def _of(self, rows: Ints) -> NDArray[Any]:
         place, _, key = self.name.partition("/")
         if place == "point":
             moved = self.motion[rows]
@@ -139,7 +148,7 @@ class _Field:
 
     @cached_property
     def _none(self) -> NDArray[Any]:
-        return self[np.zeros(0, dtype=np.int64)]
+        return self._of(np.zeros(0, dtype=np.int64))
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from weakref import finalize
 
 import numpy as np
 import pytest
@@ -51,6 +52,35 @@ def test_a_file_by_slabs_is_that_of_one_rank_to_the_byte(arrays, comm, shared_tm
         assert (shared_tmp / "slabs.h5").read_bytes() == (shared_tmp / "whole.h5").read_bytes()
         file = SealedFile(shared_tmp / "slabs.h5", "is no file of ours")
         assert all(np.array_equal(file.array(name), values) for name, values in whole.items())
+
+
+class _Computed:
+    """Values that count how often they are computed, all of a rank at once; ``alive`` has the names of those there are."""
+
+    def __init__(self, name, values, alive):
+        self.name, self.values, self.alive, self.times = name, values, alive, 0
+        self.dtype, self.shape = values.dtype, values.shape
+
+    def __getitem__(self, rows):
+        assert rows == slice(None)
+        self.times += 1
+        found = self.values.copy()
+        self.alive.add(self.name)
+        finalize(found, self.alive.discard, self.name)
+        return found
+
+
+def test_each_rank_computes_an_array_once_in_its_turn(arrays, comm):
+    """Also a rank without a row of the first slab, which the others then wait for less; and one array at a time."""
+    whole, _, _ = arrays
+    mine = np.arange(TOTAL) * comm.size // TOTAL == comm.rank
+    order, alive = Order(comm, np.flatnonzero(mine), TOTAL), set()
+    here = {name: _Computed(name, whole[name][mine], alive) for name in ("vector", "number")}
+    with on_rank_0(comm, {name: order.of(values) for name, values in here.items()}) as there:
+        for name, each in (there or {}).items():
+            for (first, last), slab in zip(slabs_of(each.kind, each.shape), each.parts, strict=True):
+                assert np.array_equal(slab, whole[name][first:last]) and alive == {name}
+    assert [each.times for each in here.values()] == [1, 1]
 
 
 def test_each_rank_is_handed_its_rows(arrays):

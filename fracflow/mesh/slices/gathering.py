@@ -56,7 +56,7 @@ class _Numbered:
     def __init__(self, cells: Ints, numbers: Ints) -> None:
         self._cells, self._numbers = cells, numbers
 
-    def __getitem__(self, rows: Ints) -> Ints:
+    def __getitem__(self, rows: Ints | slice) -> Ints:
         """Those of some cells (k, c)."""
         return self._numbers[self._cells[rows]]
 
