@@ -26,6 +26,7 @@ from _stopwatch import Stopwatch
 
 SIZES = (10_000, 100_000, 1_000_000)
 SOLVE = "PETSc's solve"
+OF_STEP = ("Jacobian", "balances", SOLVE, "energy balance")  # parts of a step; others are done once, or write files
 PARTS = {
     "read": ["mesh.read:open_msh"],
     "interpret": ["mesh.read:interpret"],
@@ -143,6 +144,12 @@ def machine() -> dict[str, str]:
     }
 
 
+def outside_of_step(rows: list[dict[str, Any]]) -> float:
+    """Share of the CPU time of the step itself, without set-up and files, that is not PETSc's solve [%]."""
+    of_step = {row["part"]: row["cpu_s"] for row in rows if row["part"] in OF_STEP}
+    return 100.0 * (1.0 - of_step[SOLVE] / sum(of_step.values()))
+
+
 def show(cells: int, rows: list[dict[str, Any]], found: dict[str, Any]) -> None:
     """Print a table."""
     from rich.console import Console
@@ -171,7 +178,8 @@ def show(cells: int, rows: list[dict[str, Any]], found: dict[str, Any]) -> None:
     console.print(
         f"{found['sizes'].split(': ', 1)[-1]}\n{facts['newton']:.0f} Newton iterations, {facts['krylov']:.0f} Krylov,"
         f" {facts['factorisations']:.0f} factorisations; residuals {facts['solid_residual']:.1e} (solid),"
-        f" {facts['flow_residual']:.1e} (flow)\n",
+        f" {facts['flow_residual']:.1e} (flow)\n"
+        f"{outside_of_step(rows):.1f} % of the CPU time of the step is outside the solve\n",
         highlight=False,
     )
 
