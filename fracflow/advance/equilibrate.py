@@ -77,8 +77,7 @@ def _resting_fluid(model: Model) -> Loads:
     points = ops.blocks.flow.points
     initial = initial_pressure(model.scene, points)
     kept = PrescribedValues(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
-    everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
-    return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
+    return replace(loads, pressures=(kept,), limits=())
 
 
 def _summary(model: Model, state: State) -> str:

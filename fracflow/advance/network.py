@@ -303,7 +303,7 @@ class FlowNetwork:
             what = [f"{names} {word}" for names, word in found if names]
             self.log(note(f"time {time:.6g}: {'; '.join(what)}; the network has {parts.count} parts"))
         cut_off = ~parts.any_of(self._drained(self.model.loads))
-        gives = change_volume(self.model.operators, parts, self.model.loads.fixed_solid)
+        gives = change_volume(self.model.operators, parts, self.model.loads.held)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
         largest, count = parts.listed(cut_off, MOST_NAMED)
@@ -328,16 +328,16 @@ class FlowNetwork:
 
     def _drained(self, loads: Loads) -> Bools:
         """Whether something settles the pressure of each flow node (q,) of this rank."""
-        layout = self.model.operators.layout
-        numbers = layout.flow_numbers(self._first + np.arange(layout.flow_count))
-        return np.asarray(np.isin(numbers, loads.fixed_flow) | self._leaves)
+        drained = self._leaves.copy()
+        drained[loads.given_pressures] = True
+        return drained
 
     def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         assert self._parts is not None
         parts, drained = self._parts, self._drained(loads)
-        gives = change_volume(operators, parts, loads.fixed_solid)
+        gives = change_volume(operators, parts, loads.held)
         if stores and not at_start:  # a rate by a memory settles no pressure at an instant
             drained = drained | self._leaks_off
         holds = parts.any_of(self._holds) & (stores | (parts.sizes > 1))
@@ -353,7 +353,7 @@ class FlowNetwork:
             nothing = np.zeros(len(gives))
             return _Closed(closes, tuple(closed), gives, nothing > 0.0, nothing, False)
         firm, at_nodes = self._firm_parts, settled[parts.own]
-        gives = gives if firm is parts else change_volume(operators, firm, loads.fixed_solid)
+        gives = gives if firm is parts else change_volume(operators, firm, loads.held)
         has = gives | firm.any_of(self._holds)
         by_storage, given = has & firm.any_of(at_nodes) & ~firm.any_of(drained), self._given(loads) * has
         is_any = operators.layout.comm.allreduce(bool(by_storage.any() or given.any()), op=MPI.LOR)
@@ -361,9 +361,8 @@ class FlowNetwork:
 
     def _given(self, loads: Loads) -> Floats:
         """Prescribed pressures in each firm part (k,). Collective."""
-        parts, layout = self._firm_parts, self.model.operators.layout
-        given = np.isin(layout.flow_numbers(self._first + np.arange(layout.flow_count)), loads.fixed_flow)
-        return parts.summed(np.bincount(parts.own[given], minlength=len(parts.roots)))
+        parts = self._firm_parts
+        return parts.summed(np.bincount(parts.own[np.unique(loads.given_pressures)], minlength=len(parts.roots)))
 
     def _node(self, vector: PETSc.Vec) -> int:
         local = vector.getArray(readonly=True)

@@ -110,7 +110,7 @@ class Stepping:
 
     def standing(self, loads: Loads) -> Loads:
         """The loads of a step without inertia."""
-        is_same = not len(self.model.loads.fixed_resting) and self.model.operators.damping is None
+        is_same = not self.model.loads.has_resting and self.model.operators.damping is None
         if not is_same and loads not in self._at_rest:
             self._at_rest[loads] = loads.standing()
         return loads if is_same else self._at_rest[loads]

@@ -53,7 +53,7 @@ def reached_after(
     for limit in sorted(request.loads.limits, key=lambda limit: limit.sign * limit.pressure):
         if not rule.pushes(request, limit):
             continue
-        closed, is_given = replace(limit, is_shut=True), limit.node in request.loads.fixed_flow
+        closed = replace(limit, is_shut=True)
         beyond = limit.sign * (at_node(limit, trial.pressure) - limit.pressure)
         if limit in reached:
             asked, comm = rule.demanded(request, limit.well), trial.pressure.getComm().tompi4py()
@@ -65,12 +65,12 @@ def reached_after(
         elif closed in reached:
             is_shut = beyond >= -CLOSE * abs(limit.pressure)
         elif beyond > CLOSE * abs(limit.pressure):
-            is_shut = is_given
+            is_shut = limit.is_given
         else:
             continue
         if is_shut:
             shut.append(closed)
-        elif not is_given:
+        elif not limit.is_given:
             now.setdefault(limit.node, limit)
     return frozenset([*now.values(), *shut])
 

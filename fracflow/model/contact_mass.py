@@ -43,10 +43,10 @@ def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | 
     here = own.ids < (count := comm.bcast(0 if mesh is None else len(mesh.points), root=0))
     near = Order(comm, own.ids[here], count)  # nodes on near cells come first
     unknown, mass, piece = (near.whole(values[here]) for values in (own.unknown, own.mass, own.piece))
-    flags = (np.isin(np.arange(ops.layout.solid_count), loads.held), _damped(ops))
-    held, damped = (_gathered(ops, np.flatnonzero(each)) for each in flags)
+    held, damped = (near.whole(_is_marked(ops, each, own.unknown[here])) for each in (loads.held, _damped(ops)))
     walls, moments, is_wall = None, None, None
     if mesh is not None and unknown is not None and mass is not None and piece is not None:
+        assert held is not None and damped is not None
         walls = _walls(mesh, scene, unknown, held, damped)
         moments = moments_of(mesh.points, walls, mass, piece, len(ops.blocks.solid.piece_rock))
         is_wall = np.zeros(near.total, dtype=bool)
@@ -110,10 +110,10 @@ def _own_nodes(ops: Operators, scene: Scene) -> _Nodes:
     return _Nodes(block.node_ids[own], block.points[own], block.unknown[own], mass[own], block.piece[own])
 
 
-def _gathered(ops: Operators, here: Ints) -> Ints:
-    """Numbers of some of this rank's unknowns, of all ranks, on rank 0; none elsewhere. Collective."""
-    first = int(ops.layout.solid_starts[ops.layout.comm.rank])
-    return np.concatenate(ops.layout.comm.gather(first + here, root=0) or [here[:0]])
+def _is_marked(ops: Operators, marked: Ints, unknown: Ints) -> Bools:
+    """Which unknowns (n, 2) of nodes, -1 for none, are ``marked`` by the ranks that have them: local numbers. Collective."""
+    numbers = np.where(unknown < 0, -1, ops.layout.solid_numbers(unknown))
+    return np.isin(numbers, ops.layout.marked(marked, marked[:0], (numbers,)))
 
 
 def massless(joints: Joints, inward: PETSc.Mat) -> Massless:
@@ -143,21 +143,22 @@ def _square(ops: Operators) -> PETSc.Mat:
     return create_matrix((size, size), 8, ops.layout.comm)
 
 
-def _damped(ops: Operators) -> Bools:
+def _damped(ops: Operators) -> Ints:
+    """Local numbers (m,) of the displacements that sides damp."""
     if ops.damping is None:
-        return np.zeros(ops.layout.solid_count, dtype=bool)
+        return np.zeros(0, dtype=np.int64)
     diagonal = ops.damping.getDiagonal()
-    flags = diagonal.getArray() != 0.0
+    found = np.flatnonzero(diagonal.getArray(readonly=True))
     diagonal.destroy()
-    return flags
+    return found
 
 
-def _walls(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Ints, damped: Ints) -> ContactNodes:
-    """The walls of a mesh whose nodes have unknowns (n, 2), some of which are held and some damped."""
+def _walls(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Bools, damped: Bools) -> ContactNodes:
+    """The walls of a mesh whose nodes have unknowns (n, 2), some of which are held and some damped (n, 2)."""
     laws = [JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures]
     opens = np.array(laws, dtype=bool)[mesh.joint_fracture]
-    free = (unknown >= 0).all(axis=1) & ~np.isin(unknown, damped).any(axis=1)
-    return tied_whole(contact_nodes_of(mesh, opens, free, np.isin(unknown, held)), unknown)
+    free = (unknown >= 0).all(axis=1) & ~damped.any(axis=1)
+    return tied_whole(contact_nodes_of(mesh, opens, free, held), unknown)
 
 
 def _carried(walls: ContactNodes, unknown: Ints) -> Entries:

@@ -123,7 +123,7 @@ def prescribe(
 ) -> tuple[PrescribedValues, Ints]:
     """Unknowns of this rank among numbers (n,) found anywhere, but for those ``taken`` before; and those taken now. Collective.
 
-    taken  of those of this rank, at least; see ``of_all_ranks``
+    taken  of those of this rank, at least
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """
     to_owners = Route(comm, owner_of(starts, found[0]))
@@ -132,12 +132,6 @@ def prescribe(
     is_new = np.isin(mine, taken, invert=True)  # where two supports meet, the first one holds
     held = PrescribedValues(mine[is_new] - starts[comm.rank], _AtPlaces(value, data[first[is_new]]))
     return held, np.union1d(taken, mine)
-
-
-def of_all_ranks(starts: Ints, comm: MPI.Comm, taken: Ints) -> Ints:
-    """Numbers (n,) that are ``taken`` on the rank that owns them, ascending. Collective."""
-    mine = taken[owner_of(starts, taken) == comm.rank]
-    return np.concatenate(comm.allgather(mine))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,9 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.shared import Shared
+
+NUMBERS_AT_ONCE = 100_000  # numbers that are looked through at once: what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,28 @@ class Layout:
         )
         found: Bools = (np.searchsorted(edges.ravel(), numbers, side="right") - 1) % 2 == 1
         return found
+
+    def marked(self, solid: Ints, flow: Ints, seen: Iterable[Ints]) -> Ints:
+        """Joined numbers (n,) of unknowns that their ranks mark: all of this rank, and of others those ``seen``. Ascending.
+
+        solid, flow  local numbers (m,) of this rank's unknowns that it marks
+        seen         joined numbers (...), -1 for none
+
+        Collective.
+        """
+        last = self.start + self.solid_count + self.flow_count
+        own = np.zeros(last - self.start)
+        own[solid] = own[self.solid_count + flow] = 1.0
+        beside = [np.zeros(0, dtype=np.int64)]
+        for numbers in seen:
+            for begin in range(0, numbers.size, NUMBERS_AT_ONCE):
+                part = numbers.ravel()[begin : begin + NUMBERS_AT_ONCE]
+                beside.append(np.unique(part[((part < self.start) & (part >= 0)) | (part >= last)]))
+        others = np.unique(np.concatenate(beside))
+        owners = Shared(self.comm, len(own), self.total, others)
+        there = others[owners.of_owners(own) > 0.0]
+        owners.destroy()
+        return np.sort(np.concatenate([self.start + np.flatnonzero(own), there]))
 
     def index_sets(self) -> tuple[PETSc.IS, PETSc.IS]:
         """The splits named solid and flow, for PCFIELDSPLIT. The caller destroys them."""

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.dirichlet import PrescribedValues, motion, of_all_ranks, own, prescribe, supported
+from fracflow.model.dirichlet import PrescribedValues, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
@@ -47,9 +47,10 @@ class Pattern:
 class Limit:
     """A pressure that a well's flow rate must not bring about: ``sign`` +1 if it is the highest, -1 if the lowest.
 
-    node     joined number of the well's pressure
-    local    its local number on the rank that owns it, empty elsewhere
-    is_shut  of a limit that is reached: the pressure around the well is beyond it, and the well is shut
+    node      joined number of the well's pressure
+    local     its local number on the rank that owns it, empty elsewhere
+    is_shut   of a limit that is reached: the pressure around the well is beyond it, and the well is shut
+    is_given  the scene prescribes the pressure of that node
     """
 
     well: str
@@ -58,31 +59,30 @@ class Limit:
     node: int
     local: Ints = field(compare=False)
     is_shut: bool = False
+    is_given: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
+    """Everything prescribed. Each rank knows of its own unknowns alone. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
     ``summed`` does so where less is stored than the round-off of what the part conducts. ``faint`` are all parts of that kind,
     those with a prescribed pressure too.
-    Terms fix ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) in steps without inertia, which
-    ``at_rest`` marks.
+    Terms fix ``resting`` unknowns (local numbers) in steps without inertia, which ``at_rest`` marks. ``has_resting`` says
+    whether there are any on any rank.
     """
 
     supports: tuple[PrescribedValues, ...]
     forces: tuple[Pattern, ...]
     pressures: tuple[PrescribedValues, ...]
     wells: tuple[Pattern, ...]
-    fixed_solid: Ints
-    fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
     summed: SummedBalances | None = None
     faint: FaintParts | None = None
     resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    has_resting: bool = False
     at_rest: bool = False
 
     @property
@@ -92,13 +92,13 @@ class Loads:
 
     @cached_property
     def held(self) -> Ints:
-        """Local numbers (n,) of the solid unknowns that are prescribed, or stay where they are."""
+        """Local numbers (n,) of the solid unknowns of this rank that are prescribed, or stay where they are."""
         parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
         return np.concatenate(parts) if parts else self.resting[:0]
 
     def standing(self) -> Loads:
         """The same for a stage without inertia: what terms hold stays where it is."""
-        return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
+        return replace(self, at_rest=True)
 
     @cached_property
     def given_pressures(self) -> Ints:
@@ -119,7 +119,6 @@ class Loads:
                 for pattern in self.wells
                 if pattern.well not in names
             ),
-            fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in open_wells], dtype=np.int64)),
         )
 
     def demanded(
@@ -239,19 +238,22 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
     return [Pattern(force, value, load.control) for force, value in zip(forces, load.traction, strict=True)]
 
 
+def _is_any(comm: MPI.Comm, here: bool) -> bool:
+    """Whether something is so on any rank. Collective."""
+    return bool(comm.allreduce(here, op=MPI.LOR))
+
+
 def _swapped(pressure: Pressures) -> Callable[..., Any]:
     return lambda time, along, around: pressure(along, time)
 
 
-def _well_pressure(
-    blocks: Blocks, scene: Scene, layout: Layout, nodes: Ints, well: Well, held: Ints
-) -> tuple[PrescribedValues, Ints]:
+def _well_pressure(blocks: Blocks, scene: Scene, layout: Layout, nodes: Ints, well: Well) -> PrescribedValues:
     """The pressure kept at a well; "initial" is p0 there."""
     local = own(layout.flow_starts, blocks.comm.rank, nodes)
     if isinstance(well.pressure, TimeTable):
-        return PrescribedValues(local, well.pressure, well.name), np.union1d(held, nodes)
+        return PrescribedValues(local, well.pressure, well.name)
     initial = initial_pressure(scene, blocks.flow.points[local])
-    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, nodes)
+    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name)
 
 
 def assemble_loads(
@@ -265,14 +267,15 @@ def assemble_loads(
     """
     comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
     taken = held_walls(blocks) if scene.is_unbounded else blocks.solid.unused
-    supports = [PrescribedValues(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
+    unmoved = own(starts, comm.rank, taken)
+    supports, taken = [PrescribedValues(unmoved, TimeTable.constant(0.0))], unmoved + starts[comm.rank]
     for support in scene.support:
         for name in support.on:
             for part, found in supported(blocks, support, name, points).items():
                 here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
     held_by_terms = held_without_inertia(operators.terms)
-    resting, at_rest = prescribe(starts, comm, held_by_terms, taken, lambda time, place, around: 0.0)
+    resting, _ = prescribe(starts, comm, held_by_terms, taken, lambda time, place, around: 0.0)
     forces = [
         pattern
         for load in scene.load
@@ -290,8 +293,8 @@ def assemble_loads(
     depth = scene.flow_depth
     for well in scene.well if scene.has_flow else ():
         if well.pressure is not None:
-            here, held = _well_pressure(blocks, scene, layout, well_nodes[well.name], well, held)
-            pressures.append(here)
+            pressures.append(_well_pressure(blocks, scene, layout, well_nodes[well.name], well))
+            held = np.union1d(held, pressures[-1].numbers + layout.flow_starts[comm.rank])
         else:
             node, vector = int(well_nodes[well.name][0]), layout.flow_vector()
             vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
@@ -310,14 +313,13 @@ def assemble_loads(
             found = (blocks.joints.flow[ends].ravel(), blocks.joints.along[ends].ravel())
             here, held = prescribe(layout.flow_starts, comm, found, held, _swapped(table.pressure))
             pressures.append(here)
+    own_held = held - layout.flow_starts[comm.rank]
     return Loads(
         tuple(supports),
         tuple(forces),
         tuple(pressures),
         tuple(wells),
-        layout.solid_numbers(of_all_ranks(starts, comm, taken).astype(np.int64)),
-        layout.flow_numbers(of_all_ranks(layout.flow_starts, comm, held)),
-        tuple(limits),
+        tuple(replace(each, is_given=_is_any(comm, bool(np.isin(each.local, own_held).any()))) for each in limits),
         resting=resting.numbers,
-        fixed_resting=layout.solid_numbers(of_all_ranks(starts, comm, np.setdiff1d(at_rest, taken)).astype(np.int64)),
+        has_resting=_is_any(comm, len(resting.numbers) > 0),
     )

@@ -47,14 +47,15 @@ class Closure:
     ends: tuple[Ints, Ints]
 
 
-def change_volume(operators: Operators, parts: NetworkComponents, fixed_solid: Ints) -> Bools:
-    """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
+def change_volume(operators: Operators, parts: NetworkComponents, held: Ints) -> Bools:
+    """Whether the volume of each part (k,) changes when its walls move, with ``held`` displacements (n,). Collective.
 
     Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
-    layout, walls, count = operators.layout, local_rows(operators.network.storage_coupling), len(parts.roots)
-    joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
-    free = ~np.isin(joined, fixed_solid)[walls.rows]
+    walls, count = local_rows(operators.network.storage_coupling), len(parts.roots)
+    moves = np.ones(operators.layout.solid_count, dtype=bool)
+    moves[held] = False
+    free = moves[walls.rows]
     keys, inverse = np.unique(walls.rows[free] * count + parts.at(walls.cols[free]), return_inverse=True)
     room, size = np.zeros(len(keys)), np.zeros(len(keys))
     np.add.at(room, inverse, walls.values[free])

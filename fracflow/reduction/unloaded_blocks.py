@@ -16,7 +16,7 @@ from fracflow.mesh.graph import components
 from fracflow.mesh.near_cells import near_nodes
 from fracflow.mesh.slices.directory import Route
 from fracflow.mesh.whole import blocks_with
-from fracflow.model.dirichlet import PrescribedValues, of_all_ranks
+from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.setup import Model
 from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
 from fracflow.scene.boundary import Support
@@ -112,16 +112,14 @@ def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     unknowns = np.concatenate([block.unknown[here].ravel(), block.body_unknown[bodies].ravel()])
     unknowns, starts = unknowns[unknowns >= 0].astype(np.int64), block.unknown_starts
     numbers = np.unique(Route(comm, owner_of(starts, unknowns)).send(unknowns))  # of this rank
-    loads, layout = model.loads, model.operators.layout
-    joined = layout.solid_numbers(of_all_ranks(starts, comm, numbers))
-    mine = numbers - starts[comm.rank]
+    loads, mine = model.loads, numbers - starts[comm.rank]
+    resting = np.setdiff1d(loads.resting, mine)
     free = np.setdiff1d(mine, np.concatenate([part.numbers for part in loads.supports]))
     held = replace(
         loads,
         supports=(*loads.supports, PrescribedValues(free, TimeTable.constant(0.0))),
-        fixed_solid=np.union1d(loads.fixed_solid, joined),
-        fixed_resting=np.setdiff1d(loads.fixed_resting, joined),
-        resting=np.setdiff1d(loads.resting, mine),
+        resting=resting,
+        has_resting=bool(comm.allreduce(len(resting), op=MPI.SUM)),
     )
     return replace(model, loads=held), replace(found, unknowns=int(comm.allreduce(len(free), op=MPI.SUM)))
 

@@ -19,7 +19,7 @@ from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.flow import Conduction
 from fracflow.model.joints import section_groups
-from fracflow.model.layout import add_blocks, create_matrix, matrix_of, rows_of
+from fracflow.model.layout import NUMBERS_AT_ONCE, add_blocks, create_matrix, matrix_of, rows_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.undrained import Closure, SummedBalances, closure_row
@@ -33,7 +33,6 @@ PARTS = ("solid", "flow")
 ROCK = ("stiffness", "mass", "damping")
 """Operators whose values are read where they are needed."""
 BY_STATE = ("jump", "network", "feedback")  # parts of the pattern to whose entries joints and flow add by their state
-COLUMNS_AT_ONCE = 100_000  # columns that are renumbered at once: what is made of them takes no memory beside
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,10 @@ class JoinedMatrix:
             space = near_null_space(ops)
             self.matrix.setNearNullSpace(space)
             space.destroy()
-        self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
+        seen = [pattern.columns, self._flow_nodes, self._keeping, *self._sections]
+        seen += [numbers for _, numbers, _ in (*self._ends, *self._slips)]
+        self.fixed = layout.marked(loads.held, loads.given_pressures, seen)
         self.stood: tuple[Any, ...] = ()
         """By which the matrix was filled, the state apart: alphas, size of flow, free part."""
         added = [pattern.places[name] for name in BY_STATE if name in pattern.places]
@@ -137,8 +138,8 @@ class JoinedMatrix:
         """Where the entries of a part are, and their values (n,)."""
         layout, number = self.layout, (self.layout.solid_numbers if col_part == "solid" else self.layout.flow_numbers)
         starts, columns, values = matrix.getValuesCSR()
-        for begin in range(0, len(columns), COLUMNS_AT_ONCE):
-            part = slice(begin, begin + COLUMNS_AT_ONCE)
+        for begin in range(0, len(columns), NUMBERS_AT_ONCE):
+            part = slice(begin, begin + NUMBERS_AT_ONCE)
             columns[part] = number(columns[part])
         around = (0, layout.flow_count) if row_part == "solid" else (layout.solid_count, 0)
         return Entries(np.pad(starts, around, mode="edge"), columns), values
@@ -228,7 +229,7 @@ class JoinedMatrix:
             return np.where(self._is_held(numbers, only), -1, numbers)
 
         own, nodes = self.held(only), free(self._flow_nodes)
-        closed = np.concatenate(self.layout.comm.allgather(self.layout.start + self._closed))
+        closed = self.layout.marked(self._closed[:0], self._closed - self.layout.solid_count, (self._flow_nodes,))
         return FreePart(
             self._entries_of(own, only),
             self._diagonal[own],

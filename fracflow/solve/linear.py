@@ -169,7 +169,7 @@ class System(Protocol):
 
     @property
     def fixed(self) -> Ints:
-        """Numbers (n,) of those held."""
+        """Numbers (n,) of those held: all of this rank, and of others those in its rows and at its joints."""
 
     @property
     def alphas(self) -> Alphas | None:

@@ -18,7 +18,7 @@ from fracflow._petsc import MPI, PETSc, destroy, timed
 from fracflow.errors import NotConverged, Unsolved
 from fracflow.integrators import Alphas
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
 from fracflow.model.flow import Compression, Conduction
 from fracflow.model.layout import add_blocks, create_matrix
@@ -104,10 +104,8 @@ class FlowOnJoints:
         numbers = np.concatenate([flow.reshape(-1, 1), np.repeat(flow, 2, axis=0)], axis=1).astype(float)
         self.nodes: Ints = clusters.exchange.there(numbers).astype(np.int64)
         self.fills = 0
-        self._held: tuple[Loads | None, Bools] = (
-            None,
-            np.zeros(0, dtype=bool),
-        )  # flow nodes with a pressure, of which loads
+        self._free: tuple[Loads | None, Ints, Ints] = None, flow, self.nodes
+        """Flow nodes of joints (j, 2), and of sections as above, -1 where the pressure is prescribed; by which loads."""
 
     def given(self, problem: SectionProblem) -> PETSc.Vec:
         """Terms of the balance that are known before the step is solved, in a new vector. Collective."""
@@ -173,22 +171,21 @@ class FlowOnJoints:
         """
         network, layout = self.operators.network, self.operators.layout
         assert problem.conduction is not None
-        start, count, rate = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, problem.alphas.a1
-        if self._held[0] is not problem.loads:
-            numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
-            self._held = problem.loads, np.isin(numbers, problem.loads.fixed_flow)
-        held = self._held[1]
+        start, rate = int(layout.flow_starts[layout.comm.rank]), problem.alphas.a1
+        if self._free[0] is not problem.loads:
+            self._free = problem.loads, *self._find_free(problem.loads)
+        _, free, of_sections = self._free
         between = problem.conduction.tangents(problem.alphas.b1)[0]
         joined = self.operators.blocks.joints.flow
         self.matrix.zeroEntries()
-        add_blocks(self.matrix, np.where(held[joined], -1, joined), joined, between)
+        add_blocks(self.matrix, free, joined, between)
         for batch, opened in zip(self.clusters.batches, answers, strict=True):
-            node, ends = self.nodes[batch.sections, 0], self.nodes[batch.sections, 1:]
-            rows = np.concatenate([node[..., None], ends], axis=2).reshape(len(node), -1)
+            node = self.nodes[batch.sections, 0]
+            rows = of_sections[batch.sections].reshape(len(node), -1)
             by_opening = np.concatenate([rate * weights[batch.sections, None], slopes[batch.sections]], axis=2)
             values = by_opening[..., None] * opened[:, :, None, :]
-            add_blocks(self.matrix, np.where(held[rows], -1, rows), node, values.reshape(len(node), -1, node.shape[1]))
-        rows = start + np.flatnonzero(held[start : start + count])
+            add_blocks(self.matrix, rows, node, values.reshape(len(node), -1, node.shape[1]))
+        rows = start + np.unique(problem.loads.given_pressures)
         add_blocks(self.matrix, rows[:, None], rows[:, None], np.ones((len(rows), 1, 1)))
         self.matrix.assemble()
         self.fills += 1
@@ -206,6 +203,16 @@ class FlowOnJoints:
         finally:
             destroy(left, change)
         return found
+
+    def _find_free(self, loads: Loads) -> tuple[Ints, Ints]:
+        """Flow nodes of joints and of sections, -1 where the pressure is prescribed. Collective."""
+        layout, found = self.operators.layout, (self.operators.blocks.joints.flow, self.nodes)
+        joined = [layout.flow_numbers(each) for each in found]
+        given = layout.marked(np.zeros(0, dtype=np.int64), loads.given_pressures, joined)
+        ends, sections = (
+            np.where(np.isin(number, given), -1, each) for number, each in zip(joined, found, strict=True)
+        )
+        return ends, sections
 
     def destroy(self) -> None:
         """Free matrix and solver. Collective."""

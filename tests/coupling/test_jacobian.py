@@ -161,7 +161,7 @@ def sealed(model, state, alphas):
     """The network, and loads without a pressure anywhere, for a step from a state; what the rows of its parts are."""
     network = FlowNetwork(model)
     network.update(state)
-    loads = replace(model.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
+    loads = replace(model.loads, pressures=())
     return network, network.close(loads, alphas.a1 > 0.0, StepBegin(state, alphas))
 
 

@@ -42,7 +42,7 @@ def _contact_forces():
     """Forces q >= 0 of the springs by non-negative least squares: r = q / (k w) + g_0 + C q >= 0, q r = 0; and the motion."""
     model = prepare(load(SCENE, FREE), MPI.COMM_SELF)
     joints, layout = model.operators.joints, model.operators.layout
-    held, size = model.loads.fixed_solid, layout.total
+    held, size = model.loads.held, layout.total
     stiffness = np.array(model.operators.stiffness.getValues(range(size), range(size)))
     jump = np.array(joints.jump.getValues(range(2 * len(joints.weights)), range(size)))[1::2]
     right = layout.solid_vector()

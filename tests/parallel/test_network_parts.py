@@ -44,7 +44,7 @@ def facts_of(model, share):
     ops = model.operators
     parts, comm = NetworkComponents(ops, conducts(ops.blocks, share)), ops.layout.comm
     some = parts.any_of(ops.blocks.flow.ids % 5 == 0)
-    moves = change_volume(ops, parts, model.loads.fixed_solid)
+    moves = change_volume(ops, parts, model.loads.held)
     assert np.array_equal(parts.own, parts.at(ops.layout.flow_starts[comm.rank] + np.arange(len(parts.own))))
     rows = zip(
         ops.blocks.flow.ids.tolist(), *(each[parts.own].tolist() for each in (parts.sizes, some, moves)), strict=True

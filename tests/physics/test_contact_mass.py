@@ -117,6 +117,31 @@ def test_walls_that_never_part_keep_theirs(opens):
     assert (ops.inward is not None) == opens
 
 
+@pytest.mark.parametrize(
+    ("side", "moves"),
+    [
+        ({"absorbing": [{"on": ["west"]}]}, False),
+        ({"support": [{"on": ["west"], "components": ["x"]}]}, True),
+        ({"support": [{"on": ["west"], "components": ["y"]}]}, False),
+    ],
+    ids=["damped", "held along", "held across"],
+)
+def test_walls_on_a_side_that_damps_or_holds_them_keep_theirs(side, moves):
+    """The walls at the end of a level fracture, whichever ranks have them."""
+    ops = prepare(
+        _scene(traces=[{"name": "flat", "points": [[0.0, 1.0], [3.0, 1.0]]}], **side), MPI.COMM_WORLD
+    ).operators
+    block, comm = ops.blocks.solid, ops.layout.comm
+    points = block.points[: block.owned]
+    at_end = np.isclose(points[:, 1], 1.0) & np.isin(points[:, 0], (0.0, 3.0))
+    starts, _, values = ops.inward.getValuesCSR()
+    counts = np.diff(np.concatenate([[0], np.cumsum(values != 0.0)])[starts])
+    rows = block.unknown[: block.owned, 1] - block.unknown_starts[comm.rank]
+    found = comm.allgather(list(zip(points[at_end, 0], counts[rows[at_end]] > 1, strict=True)))
+    ends = [end for part in found for end in part]
+    assert sorted(ends) == sorted([(0.0, moves), (3.0, True)] * 2)
+
+
 def test_blocks_too_thin_keep_theirs():
     """One cell across: no node is inside."""
     ops = prepare(_scene([{"name": "a", "points": [[0, 1], [3, 1]]}], 1.0, "quads"), MPI.COMM_WORLD).operators

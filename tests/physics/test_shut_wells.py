@@ -117,6 +117,18 @@ def test_two_wells_with_limits_that_feed_each_other(run_scene):
     assert len({*map(tuple, seen.tolist())}) >= 5 and found.closes()
 
 
+def test_a_limit_moves_no_pressure_that_is_given_there(run_scene):
+    """A well beside one with a prescribed pressure is shut while it would pump against a pressure beyond its limit."""
+    kept = "{time = [0, 5, 7], value = [8e4, 3e4, 8e4], interpolation = 'step'}"
+    found = run_scene(IN_LINE + f'[[well]]\nname = "kept"\nat = [1.5, 1]\npressure = {kept}\n').history
+    asked = np.array([0, 5e-4, 1e-3, 3e-3, 4e-3, 9e-3, 9e-3, -2e-3])
+    pressure = np.array([8e4, 8e4, 8e4, 8e4, 8e4, 3e4, 3e4, 8e4])
+    is_shut = (asked > 0.0) & (pressure > 6e4)
+    assert found["well/near/pressure"][1:] == pytest.approx(pressure)
+    assert found["well/near/limit"][1:].tolist() == np.where(is_shut, 2, 0).tolist()
+    assert found["well/near/rate"][1:] == pytest.approx(np.where(is_shut, 0.0, asked))
+
+
 @pytest.mark.parametrize("compressible", [False, True])
 def test_with_inertia_it_is_shut_from_the_first_instant(run_scene, compressible):
     """Its full rate at the first instant would count half in the first step of a trapezoid."""

@@ -71,7 +71,7 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
     """Lines of the log on an entry: the share of a wave that its sides reflect. Collective."""
     lines = _leaves_by(blocks, absorbing)
-    ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
+    ratios = np.unique(np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9))
     everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
     for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
         for reflection in dashpot.reflections(float(ratio)):

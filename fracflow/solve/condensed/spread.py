@@ -157,7 +157,8 @@ class SpreadSections(SectionSolver):
         between = problem.conduction.tangents(problem.alphas.b1)[0]
         np.add.at(result, (ends[:, :, None], count + joined[:, None, :]), between)
 
-        held = np.isin(layout.flow_numbers(nodes), problem.loads.fixed_flow)
+        numbers = layout.flow_numbers(nodes)
+        held = np.isin(numbers, layout.marked(nodes[:0], problem.loads.given_pressures, (numbers,)))
         is_own = (nodes >= first) & (nodes < last)
         result[held] = 0.0
         result[held & is_own, count + nodes[held & is_own]] = 1.0

@@ -37,7 +37,7 @@ FARTHEST = 1e9
 
 @dataclass
 class RockBlock:
-    """J_uu as a matrix of its own, what stands of it without the joints, its unknowns, and numbers of those held (n,)."""
+    """J_uu as a matrix of its own, what stands of it without the joints, and its unknowns; ``fixed`` is as of ``System``."""
 
     matrix: PETSc.Mat
     stands: PETSc.Mat

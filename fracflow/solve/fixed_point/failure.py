@@ -84,13 +84,10 @@ def describe_divergence(
 def _sealed(problem: StepProblem) -> str:
     """The parts of the network in which no pressure is prescribed, with all their fractures. Collective."""
     assert problem.conduction is not None
-    operators, held = problem.operators, problem.loads.fixed_flow
-    layout, parts = (
-        operators.layout,
-        NetworkComponents(operators, conducting(operators, problem.conduction.conductance)),
-    )
-    own = int(layout.flow_starts[layout.comm.rank]) + np.arange(layout.flow_count)
-    shut, count = parts.listed(~parts.any_of(np.isin(layout.flow_numbers(own), held)), MOST_NAMED)
+    operators, given = problem.operators, np.zeros(problem.operators.layout.flow_count, dtype=bool)
+    given[problem.loads.given_pressures] = True
+    parts = NetworkComponents(operators, conducting(operators, problem.conduction.conductance))
+    shut, count = parts.listed(~parts.any_of(given), MOST_NAMED)
     named = parts.named(shut)
     parts.destroy()
     more = f" and {count - MOST_NAMED} more parts" if count > MOST_NAMED else ""

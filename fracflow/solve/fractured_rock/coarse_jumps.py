@@ -84,7 +84,8 @@ def coarse_jumps(
 ) -> PETSc.Mat:
     """W: unknowns of a step from the parts of hats, ``dim`` components each, and from pressures in the fractures between them.
 
-    nodes  shares values of nodes; wall (n,) local nodes that are walls; held  numbers of unknowns that no part moves
+    nodes  shares values of nodes; wall (n,) local nodes that are walls
+    held   numbers of unknowns, of this rank and of its joints, that no part moves
     sizes  of the grids' cells [length], the last for all rock, others for hats that fractures cut
 
     Each part of a hat but the first has a pressure, on the joints between it and parts before it. So no pressure is without an
