@@ -244,3 +244,50 @@ def test_rock_at_rest_until_a_support_moves_is_no_motion_that_feeds_on_itself(ru
     """One step before, its acceleration is there and works nothing but round-off, of which nothing was brought."""
     moved = f"support.1={{on = 'west', displacement = {{x = [[0, 0], {begins}, [3e-3, 1e-3]]}}}}"
     assert run_scene(BAR, moved, "method.stepper=explicit").closes()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        (
+            "support.1={on = 'west', displacement = {x = [[0, 0], [1e-3, 5e-3], [2e-3, 0]]}}",
+            "table rises by = 5 m/s is 0.0025",
+        ),
+        ("support.1={on = 'west', displacement = {x = [[0, 0], [1e-3, 1e-3]]}}", ""),
+        (
+            "absorbing=[{on = 'east', wave = {velocity = [[0, 0], [1e-3, 5]]}}]",
+            "absorbing.0.wave.velocity = 5 m/s is 0.0025",
+        ),
+        ("absorbing=[{on = 'east', wave = {velocity = [[0, 0], [1e-3, 1]]}}]", ""),
+    ],
+)
+def test_a_speed_at_which_rock_breaks_is_told(tmp_path, override, told):
+    """c_p is 2000 m/s: of 2 m/s on the strain is a thousandth."""
+    (tmp_path / "scene.toml").write_text(BAR, encoding="utf-8")
+    lines = [line for line in advice(load(tmp_path / "scene.toml", [override])) if "which rock breaks" in line]
+    assert len(lines) == bool(told) and all(told in line for line in lines)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("kind", "told"), [("quasi-static", True), ("dynamic", False)])
+def test_a_stepper_that_no_stage_uses_is_told(tmp_path, kind, told):
+    (tmp_path / "scene.toml").write_text(BAR, encoding="utf-8")
+    scene = load(tmp_path / "scene.toml", ["method.stepper=hht", f"stage.0.kind={kind}"])
+    assert any('method.stepper = "hht" does nothing' in line for line in advice(scene)) == told
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("[0, 0], [1e-3, 1e-3], [3e-3, 0], [4e-3, 1e-3]", True),
+        ("[0, 0], [1e-3, 0], [4, 1]", False),
+        ("[0, 0], [4, 1]", False),
+    ],
+)
+def test_rows_of_a_table_past_the_last_stage_are_told(tmp_path, rows, told):
+    """One row past it gives a slope up to there."""
+    (tmp_path / "scene.toml").write_text(BAR, encoding="utf-8")
+    scene = load(tmp_path / "scene.toml", [f"support.1={{on = 'west', displacement = {{x = [{rows}]}}}}"])
+    assert any("support.1.displacement.x: its table goes on to 4 ms" in line for line in advice(scene)) == told
