@@ -126,13 +126,17 @@ def acceleration(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -
     return alphas.a0 * change - alphas.a2 * motion_old.velocity - alphas.a3 * motion_old.acceleration
 
 
-def driven_acceleration(alphas: Alphas, change: Any, old: Any) -> Any:
-    """That of what is prescribed, whose mean velocity changes by ``change`` [length/time^2] about the end of a step.
+def driven_acceleration(gamma: float, dt: float, ahead: float, then: Any, before: Any, old: Any) -> Any:
+    """Acceleration at the end of a step of what is prescribed, so that it ``then`` has a mean velocity in the next step.
 
-    Forces are late by (gamma - 1/2) dt in rules of such a gamma, and so is this. A share 1/(gamma + 1/2) of the change comes
-    at once, the rest in later steps. Motion that masses share with it is then neither late nor too far.
+    before, old  velocity that accelerations have brought, and the acceleration, where the step begins
+    ahead        length of the next step [time]
+
+    Forces are late by (gamma - 1/2) dt in rules of such a gamma, and so is this. In equal steps a share 1/(gamma + 1/2) of the
+    change of the mean velocity comes at once, the rest later. Motion that masses share with it is then neither late
+    nor too far.
     """
-    return old + (change - old) / (alphas.gamma + 0.5)
+    return (then - before - (1.0 - gamma) * dt * old) / (gamma * dt + 0.5 * ahead)
 
 
 def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_old: Any = 0.0) -> Any:

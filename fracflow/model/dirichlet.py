@@ -53,16 +53,13 @@ class PrescribedValues:
         """That (n,) over the first half of a stage's first step, from where they are ``now``: a jump there is part of it."""
         return (self.value(time + 0.5 * dt) - now) / (0.5 * dt)
 
-    def speed_over(self, begin: float, dt: float, now: Floats) -> Floats:
+    def speed_over(self, begin: float, dt: float, now: float | Floats) -> float | Floats:
         """Mean velocity (n,) over a step that begins where they are ``now``; over one that ends there, of a ``dt`` below 0."""
         return (self.value(begin + dt) - now) / dt
 
-    def acceleration(self, time: float, around: Around, was: Floats | None = None) -> float | Floats:
-        """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends.
-
-        was  (n,) where the step begins, which is not what the tables say where a stage begins with a jump
-        """
-        return change_of_speed(self.value, time, around, was)
+    def acceleration(self, time: float, around: Around) -> float | Floats:
+        """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
+        return change_of_speed(self.value, time, around)
 
 
 def mean_speed(value: Values, time: float | Floats, around: Around) -> float | Floats:
@@ -71,13 +68,13 @@ def mean_speed(value: Values, time: float | Floats, around: Around) -> float | F
     return (value(time + after) - value(time - before)) / (before + after)
 
 
-def change_of_speed(value: Values, time: float | Floats, around: Around, was: Floats | None = None) -> float | Floats:
+def change_of_speed(value: Values, time: float | Floats, around: Around) -> float | Floats:
     """``PrescribedValues.acceleration`` of a function of time, or of many times (k,) at once."""
     before, after = around
     if before == 0.0 or after == 0.0:
         return 0.0
     here = value(time)
-    change = (value(time + after) - here) / after - (here - (value(time - before) if was is None else was)) / before
+    change = (value(time + after) - here) / after - (here - value(time - before)) / before
     return 2.0 * change / (before + after)
 
 

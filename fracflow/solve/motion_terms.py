@@ -164,10 +164,10 @@ def driven_by(loads: Loads, state: State, rule: StepRule, time: float) -> list[D
     Speeds are means over halves of the steps around. A rule weighs each by gamma in the step that it ends, by 1 - gamma in the
     next one. There it lacks a part of the motion between the middles of both, or from where a stage begins.
     """
-    alphas, (dt, ahead), found = rule.alphas, rule.adjacent, []
+    alphas, (dt, ahead), (last, planned), found = rule.alphas, rule.adjacent, state.adjacent_steps, []
     if not alphas.a0 or not max(rule.adjacent) or alphas.is_difference:
         return []
-    (last, _), begin, gamma = state.adjacent_steps, state.time, alphas.gamma
+    begin, gamma = state.time, alphas.gamma
     for part in loads.supports:
         was, speed, pushed = (vector.getArray(readonly=True)[part.numbers] for vector in state.motion.vectors)
         new = part.speed(time, rule.adjacent)
@@ -175,8 +175,11 @@ def driven_by(loads: Loads, state: State, rule: StepRule, time: float) -> list[D
         missed = missed - (gamma * last + (1.0 - gamma) * dt) * speed
         if ahead == 0.0:
             missed = missed - (gamma - 0.5) * dt * new
-        change = part.acceleration(time, rule.adjacent, was)
-        found.append(Driven(part.numbers, new, driven_acceleration(alphas, change, pushed), missed))
+        mean = part.speed_over(begin, dt, was)
+        brought = part.speed_over(begin, planned, was) - 0.5 * planned * pushed if planned > 0.0 else mean
+        then = part.speed_over(time, ahead, part.value(time)) if ahead > 0.0 else mean
+        push = driven_acceleration(gamma, dt, ahead or dt, then, brought, pushed)
+        found.append(Driven(part.numbers, new, push, missed))
     return found
 
 

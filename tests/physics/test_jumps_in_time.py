@@ -1,12 +1,18 @@
 """Tables that jump, and supports that are moved by jerks."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from fracflow.errors import InputError
+from fracflow.integrators import HHT, GeneralisedAlpha, Newmark
+from fracflow.model.dirichlet import PrescribedValues
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 from fracflow.scene.values import TimeTable
+from fracflow.solve.motion_terms import driven_by
+from fracflow.solve.request import StepRule
 
 from .test_along_fractures import ENDS, RIGID
 
@@ -291,3 +297,32 @@ def test_rows_of_a_table_past_the_last_stage_are_told(tmp_path, rows, told):
     (tmp_path / "scene.toml").write_text(BAR, encoding="utf-8")
     scene = load(tmp_path / "scene.toml", [f"support.1={{on = 'west', displacement = {{x = [{rows}]}}}}"])
     assert any("support.1.displacement.x: its table goes on to 4 ms" in line for line in advice(scene)) == told
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("moved", [ROWS, TimeTable((0.0, 0.6, 1.4, 2.0), (2.0, 2.0, 5.0, 5.0))], ids=["jumps", "ramp"])
+@pytest.mark.parametrize("stepper", [Newmark(), HHT(), GeneralisedAlpha(), Newmark(0.5, 0.8)])
+def test_steps_that_are_cut_carry_on_all_motion_of_a_support(moved, stepper):
+    """After a jump as they begin: its volume by rates, and velocities by accelerations, whatever lengths were planned."""
+    draw = np.random.default_rng(3)
+    held, dt = PrescribedValues(np.array([0]), moved), 0.13
+    loads, start = SimpleNamespace(supports=[held]), moved(0.0) - 1.0
+    time, at, speed, pushed, around = 0.0, start, float(held.first_speed(0.0, dt, start)), 0.0, (0.0, dt)
+    volume, gained = 0.0, float(held.speed_over(0.0, dt, start))
+    while time < 4.0:
+        length = around[1] * draw.choice([1.0, 0.3, 0.7])
+        planned = dt if time + length < 4.0 else 0.0
+        alphas = stepper.alphas(length)
+        gamma = alphas.gamma
+        vectors = [
+            SimpleNamespace(getArray=lambda readonly, value=value: np.array([value])) for value in (at, speed, pushed)
+        ]
+        motion = SimpleNamespace(vectors=vectors)
+        state = SimpleNamespace(adjacent_steps=around, time=time, motion=motion)
+        (made,) = driven_by(loads, state, StepRule(alphas, (length, planned), inertia=True), time + length)
+        volume += length * ((1.0 - gamma) * speed + gamma * float(made.speed)) + float(made.beside_rates[0])
+        gained += length * ((1.0 - gamma) * pushed + gamma * float(made.acceleration[0]))
+        time, at, speed, pushed = time + length, moved(time + length), float(made.speed), float(made.acceleration[0])
+        around = (length, planned)
+    assert volume == pytest.approx(moved(4.0) - start, rel=1e-12)
+    assert gained == pytest.approx(0.0, abs=1e-3)
