@@ -14,10 +14,19 @@ from fracflow.mesh.data import Bools
 from fracflow.model.energy import compressed, dissipated, jumped, pushed, switch, update_balance
 from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
-from fracflow.model.state import PreviousStep, SectionHistory, State, forgetful
+from fracflow.model.state import Motion, PreviousStep, SectionHistory, State, forgetful
+from fracflow.scene.time_table import JUST_BEFORE
 from fracflow.solve.accept import balanced_forces
-from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
+from fracflow.solve.initial_rates import (
+    first_levels,
+    impulse,
+    initial_acceleration,
+    levels,
+    starting_pressure,
+    starting_rate,
+)
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest, StepRule, sides_of
@@ -46,9 +55,8 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
     if ops.flow is None and mean is not None:
         mean.copy(motion.velocity)
     energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
-    for moved in model.loads.supports if dt > 0.0 else ():
-        now = motion.displacement.getArray(readonly=True)[moved.numbers]
-        motion.velocity.getArray()[moved.numbers] = moved.first_speed(state.time, dt, now)
+    if dt > 0.0:
+        _set_off(ops, loads, state, motion, stepper, dt)
     energy = pushed(energy, kinetic_energy(ops, motion.velocity))
     was, around = state.sections, (0.0, dt)
     begun = replace(state, motion=motion, uptake=None, energy=energy, adjacent_steps=around)
@@ -59,6 +67,30 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
     if start.uptake is None:
         return start
     return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
+
+
+def _set_off(ops: Operators, loads: Loads, state: State, motion: Motion, stepper: Stepper, dt: float) -> None:
+    """Give supports their velocity over the first half step, and what their masses share with free nodes to these. Collective.
+
+    A mean velocity m of a step that follows one of m_0 by central differences makes free nodes of M_fh/M_ff begin by m - m_0.
+    Rules whose velocity is d/dt begin by the velocity of the first half step.
+    """
+    gained, before = motion.velocity.duplicate(), state.adjacent_steps[0]
+    gained.set(0.0)
+    is_difference = stepper.alphas(dt).is_difference
+    for moved in loads.supports:
+        at = moved.numbers
+        now, had = motion.displacement.getArray(readonly=True)[at], motion.velocity.getArray(readonly=True)[at]
+        first = moved.first_speed(state.time, dt, now)
+        if before > JUST_BEFORE[0] and not is_difference:
+            left = motion.acceleration.getArray(readonly=True)[at]
+            had = moved.speed_over(state.time, -before, now) - 0.5 * before * left
+        gained.getArray()[at] = (first if is_difference else moved.speed_over(state.time, dt, now)) - had
+        motion.velocity.getArray()[at] = first
+    impulse(ops, loads, gained)
+    gained.getArray()[loads.held] = 0.0
+    motion.velocity.axpy(1.0, gained)
+    gained.destroy()
 
 
 def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leaving: Bools) -> State:
@@ -155,13 +187,21 @@ def _first_instant(
         elif not compressible and problem.residual.flow > model.scene.accuracy.residual:
             starting_pressure(model.scene, ops, closed, problem)
             problem.evaluate()
-        initial_acceleration(ops, problem, motion.acceleration, lasting.values())
+        driven, inertia = motion.acceleration.duplicate(), motion.acceleration.duplicate()
+        done.callback(destroy, driven, inertia)
+        driven.set(0.0)
+        if dt is None:  # at an event supports go on; as a stage begins, what they gain at once is in velocities
+            driven.getArray()[loads.held] = motion.acceleration.getArray(readonly=True)[loads.held]
+        ops.mass.mult(driven, inertia)
+        others = [*lasting.values(), inertia]
+        initial_acceleration(ops, problem, motion.acceleration, others)
         parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
         for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
             problem.pressure.getArray()[part.nodes] += level
         if parts:
             problem.evaluate()
-            initial_acceleration(ops, problem, motion.acceleration, lasting.values())
+            initial_acceleration(ops, problem, motion.acceleration, others)
+        motion.acceleration.axpy(1.0, driven)
         forces = balanced_forces(problem, motion, lasting)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.recorded(), forces=forces)

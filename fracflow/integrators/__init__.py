@@ -8,7 +8,17 @@ from fracflow.integrators.first_order import BDF2, BackwardEuler, FlowRule, Rate
 from fracflow.integrators.generalised_alpha import GeneralisedAlpha
 from fracflow.integrators.hht import HHT
 from fracflow.integrators.implicit_euler import ImplicitEuler
-from fracflow.integrators.newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
+from fracflow.integrators.newmark import (
+    Alphas,
+    HasMotion,
+    Newmark,
+    Steady,
+    Stepper,
+    acceleration,
+    driven_acceleration,
+    first_rate,
+    velocity,
+)
 from fracflow.integrators.parameters import keys_of
 
 # a rule from outside the package is registered here, STEPPERS["name"] = Rule, before any scene is read
@@ -47,6 +57,7 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 __all__ = [
     "BDF2", "EXPLICIT", "HHT", "STEPPERS", "Alphas", "BackwardEuler", "Explicit", "FlowRule", "GeneralisedAlpha",
-    "HasMotion", "ImplicitEuler", "Newmark", "Rates", "Steady", "Stepper", "Trapezoid", "acceleration", "first",
-    "first_rate", "flow_integrators", "keys_of", "stepper_from", "storage_error", "velocity", "with_inertia",
+    "HasMotion", "ImplicitEuler", "Newmark", "Rates", "Steady", "Stepper", "Trapezoid", "acceleration",
+    "driven_acceleration", "first", "first_rate", "flow_integrators", "keys_of", "stepper_from", "storage_error",
+    "velocity", "with_inertia",
 ]  # fmt: skip

@@ -43,6 +43,16 @@ class Alphas:
         return self.inertia != 1.0 or self.inertia_old != 0.0 or self.balance_old != 0.0
 
     @property
+    def gamma(self) -> float:
+        """Weight of the acceleration at the end of a step in its velocity, with inertia."""
+        return self.a1 / self.a2
+
+    @property
+    def is_difference(self) -> bool:
+        """Whether the velocity is d/dt of the step alone."""
+        return not (self.a4 or self.a5 or self.a6)
+
+    @property
     def b1(self) -> float:
         """Coefficient of the change of what has a first rate only, as a pressure: 1/(gamma dt) of Newmark, else alpha_1."""
         return self.a0 / self.a1 if self.a0 else self.a1
@@ -114,6 +124,19 @@ def acceleration(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -
     """(4.2e) a_new = a0 (d_new - d) - a2 v - a3 a."""
     change = displacement_new - motion_old.displacement
     return alphas.a0 * change - alphas.a2 * motion_old.velocity - alphas.a3 * motion_old.acceleration
+
+
+def driven_acceleration(gamma: float, dt: float, ahead: float, then: Any, before: Any, old: Any) -> Any:
+    """Acceleration at the end of a step of what is prescribed, so that it ``then`` has a mean velocity in the next step.
+
+    before, old  velocity that accelerations have brought, and the acceleration, where the step begins
+    ahead        length of the next step [time]
+
+    Forces are late by (gamma - 1/2) dt in rules of such a gamma, and so is this. In equal steps a share 1/(gamma + 1/2) of the
+    change of the mean velocity comes at once, the rest later. Motion that masses share with it is then neither late
+    nor too far.
+    """
+    return (then - before - (1.0 - gamma) * dt * old) / (gamma * dt + 0.5 * ahead)
 
 
 def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_old: Any = 0.0) -> Any:

@@ -114,13 +114,21 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
 
 
 def uptake_at(
-    operators: Operators, state: State, alphas: Alphas, before: Compression | None, after: Compression | None
+    operators: Operators,
+    state: State,
+    alphas: Alphas,
+    before: Compression | None,
+    after: Compression | None,
+    opened: Floats | float = 0.0,
 ) -> Floats | None:
-    """The same (n,) of the fluid that compression has taken up since ``state``; None if incompressible. Collective."""
+    """The same (n,) of the fluid that compression has taken up since ``state``; None if incompressible. Collective.
+
+    opened  (n,) volumes that walls open beside their rates
+    """
     if before is None or after is None:
         return None
     taken = taken_up(operators, before, after)
-    rate = uptake_rate(state, alphas, taken.getArray())
+    rate = uptake_rate(state, alphas, taken.getArray() + opened)
     taken.destroy()
     return rate
 

@@ -53,6 +53,10 @@ class PrescribedValues:
         """That (n,) over the first half of a stage's first step, from where they are ``now``: a jump there is part of it."""
         return (self.value(time + 0.5 * dt) - now) / (0.5 * dt)
 
+    def speed_over(self, begin: float, dt: float, now: float | Floats) -> float | Floats:
+        """Mean velocity (n,) over a step that begins where they are ``now``; over one that ends there, of a ``dt`` below 0."""
+        return (self.value(begin + dt) - now) / dt
+
     def acceleration(self, time: float, around: Around) -> float | Floats:
         """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
         return change_of_speed(self.value, time, around)

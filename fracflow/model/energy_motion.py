@@ -46,7 +46,8 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     Over a step the rock moves by d, and half the sum of S before and after it does the work of the other entries.
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
-    Where it is held, its inertia force does the work of its kinetic energy. Without inertia the half of S that the last stage
+    Where it is held, its inertia force does the work of its kinetic energy. That through M_fh on free nodes is no part of the
+    scheme either. Without inertia the half of S that the last stage
     left is dropped; M a is not -S there, where a scheme uses the previous step. Collective.
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
@@ -69,20 +70,24 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
     e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
     error = e_new * after.acceleration + e_old * before.acceleration
-    push = _times(ops.mass, after.velocity - before.velocity) / dt
-    met = mean
+    gained, weighed = (after.velocity - before.velocity) / dt, 0.5 * (before.acceleration + after.acceleration)
+    push, met = _times(ops.mass, gained), mean
     if alphas.looks_back:
         weighed = alphas.inertia * after.acceleration + alphas.inertia_old * before.acceleration
-        met = _times(ops.mass, weighed) / (1.0 + alphas.balance_old)
+        weighed /= 1.0 + alphas.balance_old
+        met = _times(ops.mass, weighed)
     each = change * (met - push) + error * push
     if alphas.looks_back:
         late = alphas.balance_old / (1.0 + alphas.balance_old)
         each += (0.5 - late) * change * (_static(ops, new) - _static(ops, old))
+    shared = change * _times(ops.mass, np.where(is_held, weighed - gained, 0.0))
+    shared += error * _times(ops.mass, np.where(is_held, gained, 0.0))
+    each -= shared
     given = 0.5 * dt * (before.velocity + after.velocity) * push - change * mean
     return {
         "kinetic": kinetic,
         "scheme": _total(ops, float(each[~is_held].sum())),
-        "work_boundaries": _total(ops, float(given[is_held].sum())),
+        "work_boundaries": _total(ops, float(given[is_held].sum() - shared[~is_held].sum())),
     }
 
 

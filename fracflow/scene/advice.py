@@ -14,7 +14,7 @@ from fracflow.remarks import note
 from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
-from fracflow.scene.time_table import JUST_AFTER, TimeTable
+from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, TimeTable
 from fracflow.scene.units import LENGTH, STRESS, TIME
 from fracflow.scene.unusual import degrees, locking, unusual
 from fracflow.scene.values import AlongFracture, FractureEnd
@@ -22,6 +22,7 @@ from fracflow.scene.values import AlongFracture, FractureEnd
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
 LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
+GOES_ON = 1e-2  # of the spread of a table: less is no change
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 
@@ -37,6 +38,7 @@ def advice(scene: Scene) -> list[str]:
         *_shut_wells(scene),
         *_fading(scene),
         *_beyond_end(scene),
+        *_past_end(scene),
         *_too_long(scene),
         *_let_go(scene),
         *_bouncing(scene),
@@ -71,6 +73,11 @@ def _idle(scene: Scene) -> Iterator[str]:
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
             yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture and conducts from the start: lower it"
+    if scene.method.stepper != "newmark" and not scene.has_dynamics:
+        yield note(
+            f'method.stepper = "{scene.method.stepper}" does nothing: it is for stages with inertia, and the scene has none;'
+            ' leave it out, or give a stage of kind = "dynamic" or "auto"'
+        )
     for option in scene.petsc:
         if not reaches_a_solver(option):
             yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
@@ -132,6 +139,28 @@ def _without_flow(scene: Scene) -> Iterator[str]:
         f"fluid.{zero} = 0 leaves the flow out: nothing carries fluid.initial_pressure, which initial tractions of fractures"
         f" count on: give a fluid.{zero} above 0, or leave [fluid] out and give effective stresses"
     )
+
+
+def _past_end(scene: Scene) -> Iterator[str]:
+    """Tables of wells and supports that go on changing after the last stage, by more than one row that gives a slope."""
+    end = 0.0
+    for stage in scene.stage:
+        if stage.until is not None or not (stage.takes_no_time or stage.end or stage.step_count(end)):
+            return  # nothing in the scene says when it ends
+        end = end if stage.takes_no_time else stage.end or stage.finish(end)
+    tables = {f"well.{well.name}.{key}": getattr(well, key) for well in scene.well for key in ("flow_rate", "pressure")}
+    for number, support in enumerate(scene.support):
+        tables |= {
+            f"support.{number}.displacement.{part}": table for part, table in (support.displacement or {}).items()
+        }
+    for key, table in tables.items():
+        if isinstance(table, TimeTable) and end > 0.0:
+            left = sum(time > end * (1.0 + 1e-9) for time in table.times)
+            if left > 1 and abs(table.values[-1] - table(end, JUST_BEFORE)) > GOES_ON * table.spread:
+                yield note(
+                    f"{key}: its table goes on to {scene.time_text(table.times[-1])}, and the last stage ends at"
+                    f" {scene.time_text(end)}: what comes later has no part in the run"
+                )
 
 
 def _unseen(scene: Scene) -> Iterator[str]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 
 from fracflow.errors import InputError
-from fracflow.integrators import keys_of, with_inertia
+from fracflow.integrators import keys_of, stepper_from, with_inertia
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest, numbered
 from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
 from fracflow.scene.tables import Tables
+from fracflow.scene.time_table import JUST_AFTER
 from fracflow.scene.units import COMPRESSIBILITY
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
 from fracflow.storage.files import PLAIN_TEXT
@@ -76,6 +78,7 @@ def _method(scene: Tables) -> Iterator[Fault]:
         if getattr(method, key) != value:
             why = f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"'
             yield ("method", key), why
+    yield from _shared_jumps(scene) if method.mass == "consistent" and scene.has_dynamics else ()
     if method.stepper == "explicit" and scene.accuracy.dynamic_slip_share is not None:
         why = 'contradicts method.stepper = "explicit", whose steps the rock bounds; leave it out, or use stepper = "newmark"'
         yield ("accuracy", "dynamic_slip_share"), why
@@ -110,6 +113,25 @@ def _method(scene: Tables) -> Iterator[Fault]:
             users = ", ".join(name for name, own in keys.items() if key in own)
             why = f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper'
             yield ("method", key), why
+
+
+def _shared_jumps(scene: Tables) -> Iterator[Fault]:
+    """Supports that jump while free nodes share their mass, by a rule whose velocities lead: its energies grow as 1/dt^2."""
+    method = scene.method
+    alphas = stepper_from(method.stepper, method).alphas(1.0)
+    if alphas.gamma <= 0.5 or alphas.is_difference:
+        return
+    for number, support in enumerate(scene.support):
+        tables = [*(support.displacement or {}).values(), *chain(*(support.displacement_gradient or ()))]
+        begins = scene.stage[0].kind == "dynamic" and any(table(0.0, JUST_AFTER) for table in tables)
+        if begins or any(len(table.jumps[0]) for table in tables):
+            why = (
+                f'is "consistent", by which nodes share the inertia of support.{number}, which jumps:'
+                f' stepper = "{method.stepper}" makes energy of that; use "lumped", or stepper = "newmark", or let it rise'
+                " over some steps"
+            )
+            yield ("method", "mass"), why
+            return
 
 
 def against_condensing(scene: Tables) -> Iterator[tuple[str, tuple[str, ...]]]:

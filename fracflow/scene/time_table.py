@@ -87,6 +87,14 @@ class TimeTable:
         return np.concatenate([times[:-1][moves], times[1:][moves]]), np.concatenate([slopes, -slopes])
 
     @property
+    def steepest(self) -> float:
+        """The largest rate at which it changes, up or down, jumps left out."""
+        steps, sizes = np.diff(self.times), np.abs(np.diff(self.values))
+        if self.interpolation == "step" or not np.any(steps > 0.0):
+            return 0.0
+        return float((sizes[steps > 0.0] / steps[steps > 0.0]).max())
+
+    @property
     def spread(self) -> float:
         """Largest value less the smallest one."""
         return max(self.values) - min(self.values)

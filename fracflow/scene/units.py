@@ -190,9 +190,16 @@ class UnitSystem:
         try:
             return number * _factor(unit, self.unit(dimension))
         except TypeError:
-            raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
+            raise ValueError(
+                f'"{unit}" is not a unit of {dimension}; must be {fits}{self._meant(unit, dimension)}'
+            ) from None
         except LookupError:
-            raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
+            raise ValueError(f'unknown unit "{unit}"; must be {fits}{self._meant(unit, dimension)}') from None
+
+    def _meant(self, unit: str, dimension: str) -> str:
+        """A question for a usual unit of the dimension in other capitals, where there is one."""
+        names = [*USUAL.get(UnitSystem.parse("SI").unit(dimension), {}), *USUAL.get(self.unit(dimension), {})]
+        return next((f'; did you mean "{name}"?' for name in names if name.casefold() == unit.casefold()), "")
 
 
 def time_unit(text: str) -> str | None:

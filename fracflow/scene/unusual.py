@@ -19,6 +19,7 @@ from fracflow.scene.units import (
     LENGTH,
     STIFFNESS,
     STRESS,
+    VELOCITY,
     VISCOSITY,
 )
 
@@ -30,6 +31,9 @@ STREAM = 0.2  # m^3/s: few wells bring more
 THIN = 0.2  # m: a depth of the flow below it, and below a hundredth of a trace, is no depth of a model of that trace
 THIN_OF_TRACE = 0.01
 WIDE = 0.04  # m: few fractures are wider whose conductance is that of their aperture
+LIQUID = 1e-4  # Pa s: no gas is as viscous
+LIGHT = 50.0  # kg/m^3: no liquid is as light
+BREAKS = 1e-3  # a strain, from which on rock is not elastic
 LOCKS = 0.4  # up to which a crack opens by no more than 2 % less than at 0.25, see tests/mesh/test_stiff_cells.py
 DECIMALS = 3  # that coordinates on a plane may have
 
@@ -39,7 +43,7 @@ USUAL = {
     "fracture": {
         "normal_stiffness": (STIFFNESS, 1e6, 1e16),
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),
-        "aperture": (LENGTH, 1e-7, 0.1),
+        "aperture": (LENGTH, 1e-6, 0.1),
         "hydraulic_aperture": (LENGTH, 1e-8, 0.02),
         "hydraulic_opening_ratio": ("", 0.01, 2.0),
         "friction_coefficient": ("", 0.01, 2.0),
@@ -155,6 +159,40 @@ def _thin(scene: Scene) -> Iterator[str]:
         )
 
 
+def _light(scene: Scene) -> Iterator[str]:
+    """A liquid, by its viscosity, that is as light as a gas: g/cm^3 may have been written as kg/m^3."""
+    fluid, least = scene.fluid, USUAL["fluid"]["density"][1]
+    if fluid is None or not fluid.density or fluid.viscosity * scene.unit_system.to_si(VISCOSITY) < LIQUID:
+        return
+    if least <= fluid.density * scene.unit_system.to_si(DENSITY) < LIGHT:
+        yield _mistaken(
+            scene, "fluid.density", fluid.density, DENSITY, "that of a gas, of a liquid's viscosity", "g/cm^3"
+        )
+
+
+def _violent(scene: Scene) -> Iterator[str]:
+    """Waves, and supports in stages with inertia, that move rock at a speed which no rock stands: a strain of v/c_p."""
+    limit = BREAKS * max((rock.p_speed for rock in scene.rock.values()), default=0.0)
+    if not limit or not scene.has_dynamics:
+        return
+    speeds = {
+        f"absorbing.{number}.wave.velocity": max(map(abs, each.wave.velocity.values))
+        for number, each in enumerate(scene.absorbing)
+        if each.wave is not None
+    }
+    for number, support in enumerate(scene.support):
+        for part, table in (support.displacement or {}).items():
+            if part != "rotation":
+                speeds[f"support.{number}.displacement.{part}, whose table rises by"] = table.steepest
+    for key, speed in speeds.items():
+        if speed > limit:
+            unit = scene.unit_system.written(VELOCITY)
+            yield (
+                f"{key} = {speed:.4g} {unit} is {BREAKS * speed / limit:.2g} of the speed of P waves, a strain as large, at"
+                " which rock breaks: is its unit right?"
+            )
+
+
 def locking(scene: Scene) -> Iterator[str]:
     """Rock on a mesh whose volume hardly changes: its cells have not the freedom for that."""
     for name, rock in scene.rock.items() if not scene.is_unbounded else ():
@@ -172,6 +210,8 @@ def unusual(scene: Scene) -> Iterator[str]:
     yield from slight(scene)
     yield from _of_wells(scene)
     yield from _thin(scene)
+    yield from _light(scene)
+    yield from _violent(scene)
     tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
     tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
     leaky = [(name, table.leak_off) for name, table in scene.fracture.items() if table.leak_off is not None]

@@ -95,6 +95,27 @@ def initial_acceleration(
     destroy(balance, force, solver, matrix)
 
 
+def impulse(operators: Operators, loads: Loads, gained: PETSc.Vec) -> None:
+    """Add what free unknowns gain in velocity as held ones gain theirs at once: M_ff v_f = -M_fh v_h. In place. Collective."""
+    push = gained.duplicate()
+    if operators.inward is None:
+        operators.mass.mult(gained, push)
+    else:
+        whole = with_diagonal(operators.mass)
+        _bind(whole, operators.inward)
+        whole.mult(gained, push)
+        whole.destroy()
+    loads.release(push)
+    if push.norm() > 0.0:  # of lumped masses there is none
+        matrix, solver = _mass(operators, loads)
+        shared = gained.duplicate()
+        solver.solve(push, shared)
+        check_solution(solver, shared, push, "velocities as supports begin to move")
+        gained.axpy(-1.0, shared)
+        destroy(shared, solver, matrix)
+    push.destroy()
+
+
 def first_levels(
     operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[EnclosedComponent]
 ) -> Floats:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fracflow._petsc import PETSc, destroy
-from fracflow.integrators import Alphas
-from fracflow.mesh.data import Floats
+from fracflow.integrators import Alphas, driven_acceleration
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.model.terms.term import Term
 from fracflow.scene.time_table import JUST_AFTER, Around
+from fracflow.solve.request import StepRule
 from fracflow.solve.residual import CANCELLATION, largest
 
 
@@ -142,6 +144,54 @@ class TermsOfStep:
     def destroy(self) -> None:
         """Free what is of this step."""
         destroy(*self.incoming.values())
+
+
+class Driven(NamedTuple):
+    """Unknowns (n,), local numbers, that the scene moves where not the integrator does, at the end of a step.
+
+    beside_rates  part of their motion in the step that their speeds, as the rule weighs them, lack [length]
+    """
+
+    numbers: Ints
+    speed: float | Floats
+    acceleration: float | Floats
+    beside_rates: float | Floats
+
+
+def driven_by(loads: Loads, state: State, rule: StepRule, time: float) -> list[Driven]:
+    """Those of a step from a state to a time; none of a rule whose velocity is d/dt, which does not ring.
+
+    Speeds are means over halves of the steps around. A rule weighs each by gamma in the step that it ends, by 1 - gamma in the
+    next one. There it lacks a part of the motion between the middles of both, or from where a stage begins.
+    """
+    alphas, (dt, ahead), (last, planned), found = rule.alphas, rule.adjacent, state.adjacent_steps, []
+    if not alphas.a0 or not max(rule.adjacent) or alphas.is_difference:
+        return []
+    begin, gamma = state.time, alphas.gamma
+    for part in loads.supports:
+        was, speed, pushed = (vector.getArray(readonly=True)[part.numbers] for vector in state.motion.vectors)
+        new = part.speed(time, rule.adjacent)
+        missed = part.value(begin + 0.5 * dt) - (part.value(begin - 0.5 * last) if last > 0.0 else was)
+        missed = missed - (gamma * last + (1.0 - gamma) * dt) * speed
+        if ahead == 0.0:
+            missed = missed - (gamma - 0.5) * dt * new
+        mean = part.speed_over(begin, dt, was)
+        brought = part.speed_over(begin, planned, was) - 0.5 * planned * pushed if planned > 0.0 else mean
+        then = part.speed_over(time, ahead, part.value(time)) if ahead > 0.0 else mean
+        push = driven_acceleration(gamma, dt, ahead or dt, then, brought, pushed)
+        found.append(Driven(part.numbers, new, push, missed))
+    return found
+
+
+def volumes_beside_rates(operators: Operators, driven: Iterable[Driven]) -> Floats:
+    """Volumes (n,) that this part of the motion of walls opens at the flow nodes [volume per thickness]. Collective."""
+    moved, opened = operators.layout.solid_vector(), operators.layout.flow_vector()
+    for each in driven:
+        moved.getArray()[each.numbers] = each.beside_rates
+    operators.network.storage_coupling.multTranspose(moved, opened)
+    result: Floats = opened.getArray().copy()
+    destroy(moved, opened)
+    return result
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:

@@ -24,7 +24,7 @@ from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import MotionValues, Sections, State, Work
 from fracflow.model.terms.term import TermStep
-from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
+from fracflow.solve.motion_terms import Driven, MovingTerms, TermsOfStep, Unapplied, driven_by, volumes_beside_rates
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
@@ -247,8 +247,8 @@ class StepProblem:
         """(4.2e) Acceleration of the trial, in a new vector. Collective."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start))
-        for numbers, _, driven in self._driven:
-            result.getArray()[numbers] = driven
+        for each in self._driven:
+            result.getArray()[each.numbers] = each.acceleration
         return result
 
     def velocity(self) -> PETSc.Vec:
@@ -256,19 +256,17 @@ class StepProblem:
         before, result = self.state.previous_step.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start, mean))
-        for numbers, driven, _ in self._driven:
-            result.getArray()[numbers] = driven
+        for each in self._driven:
+            result.getArray()[each.numbers] = each.speed
         return result
 
     @cached_property
-    def _driven(self) -> list[tuple[Ints, float | Floats, float | Floats]]:
-        """Local numbers (n,), speed and acceleration of unknowns that the scene moves, where not the integrator does."""
-        time, around = self.time, self.rule.adjacent
-        # the velocity d/dt of backward Euler moves the volume that it should, and does not ring
-        follows = not (self.alphas.a4 or self.alphas.a5 or self.alphas.a6)
-        is_driven = self.alphas.a0 > 0.0 and max(around) > 0.0 and not follows
-        parts = self.loads.supports if is_driven else ()
-        return [(part.numbers, part.speed(time, around), part.acceleration(time, around)) for part in parts]
+    def _driven(self) -> list[Driven]:
+        return driven_by(self.loads, self.state, self.rule, self.time)
+
+    @cached_property
+    def _unrated(self) -> Floats:
+        return volumes_beside_rates(self.operators, self._driven)
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
@@ -295,7 +293,8 @@ class StepProblem:
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         before, now = self.fluid_before, self.conduction.compression
-        self.taken_up = uptake_at(self.operators, self.state, self.alphas, before, now)
+        if before is not None:
+            self.taken_up = uptake_at(self.operators, self.state, self.alphas, before, now, self._unrated)
         if self.taken_up is not None:
             flow.getArray()[:] += self.taken_up
             rows += np.abs(self.taken_up)

@@ -161,6 +161,14 @@ TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", po
             "4000 N/m^2 (0.004 MPa) is next to nothing",
         ),
         (["initial_stress={xx=-8e5, yy=-9e5}", "fluid.initial_pressure=4 kPa"], None),
+        (
+            ["fracture.fault.aperture=0.5 um"],
+            "fracture.fault.aperture = 5e-07 m is unusually small: is its unit right?",
+        ),
+        (["fracture.fault.aperture=2 um"], None),
+        (["fluid={viscosity=1e-3, density=1}"], "fluid.density = 1 N s^2/m^4 (0.001 g/cm^3) is that of a gas"),
+        (["fluid={viscosity=1.8e-5, density=1.2}"], None),  # air
+        (["fluid={viscosity=1e-3, density=800}"], None),
         (["initial_stress={xx=-8e6, yy=-9e6}", "fluid.initial_pressure=10 kPa"], None),
     ],
 )
