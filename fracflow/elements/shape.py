@@ -117,13 +117,8 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
 
     Raises InputError naming the cells whose determinant is not positive, by ``numbers`` (n,) if given.
     """
-    nodes, dim = points.shape[1:]
-    places = slice(1) if nodes == dim + 1 else slice(None)  # in simplices it is the same everywhere
-    matrix = rule.gradients[places].swapaxes(1, 2) @ points[:, None]
-    if matrix.shape[-1] == 2:
-        det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-    else:
-        det = np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
+    matrix, det = _jacobian(points, rule)
+    dim = points.shape[2]
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
         which, how = f"cells {listed(bad, numbers)}", "run counter-clockwise around a convex cell of positive area"
@@ -132,6 +127,22 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
         raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {how}")
     shape = len(points), len(rule.weights)
     return np.broadcast_to(matrix, (*shape, dim, dim)), np.broadcast_to(det, shape)
+
+
+def is_folded(points: Floats) -> NDArray[np.bool_]:
+    """Which cells (n,) with points (n, k, dim) have a Jacobian that is not positive. Raises InputError if there is no rule."""
+    _, det = _jacobian(points, rule_for(GAUSS, points))
+    return np.asarray(~(det > 0.0).all(axis=1))
+
+
+def _jacobian(points: Floats, rule: Rule) -> tuple[Floats, Floats]:
+    """Matrices (n, q, dim, dim) and determinants (n, q) of any sign; q is 1 for simplices."""
+    nodes, dim = points.shape[1:]
+    places = slice(1) if nodes == dim + 1 else slice(None)  # in simplices it is the same everywhere
+    matrix = rule.gradients[places].swapaxes(1, 2) @ points[:, None]
+    if dim == 2:
+        return matrix, matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+    return matrix, np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
 
 
 def gradients(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.mesh.cut_mesh import near_mesh
-from fracflow.mesh.data import SplitMesh, is_unmeshed
+from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.near_cells import has_near_first
 from fracflow.storage.files import steers
 from fracflow.storage.sealed import AGAIN, SealedFile, Slabs, read_sealed, slabs_of, write_sealed
@@ -23,6 +23,7 @@ _NO_MESH = "is no saved mesh"
 WRITE_ONE = "write one with: fracflow mesh SCENE -o NAME.h5"
 Shape = tuple[int, ...]
 MOST_CUTS = 12
+NOT_BESIDE = "joints or sides are not on the cells that they name, or walls of a joint not at one place"
 NOT_FIRST = "near is no number of cells that come first"
 _TEXTS = ("rocks", "fractures", "sides", "notes")
 _LATER = {"cuts": 0, "near": -1}
@@ -63,7 +64,9 @@ def load_split(path: Path) -> SplitMesh:
     mesh = _read(path, WRITE_ONE)
     if is_unmeshed(mesh.cells) or mesh.points.shape[1] != 2:
         raise no_plane_rock(path)
-    refuse_joined_ends(len(mesh.flow_origin), len(np.unique(mesh.origin[mesh.joint_bottom])), path)
+    first = mesh.origin[mesh.joint_bottom]
+    refuse_joined_ends(len(mesh.flow_origin), len(np.unique(first)), path)
+    refuse_flow_elsewhere(np.array_equal(mesh.flow_origin[mesh.joint_flow], first), path)
     return replace(mesh, cuts=0, near=-1)
 
 
@@ -76,6 +79,12 @@ def refuse_joined_ends(flow_nodes: int, ends: int, path: Path) -> None:
     """Raise InputError where wells have made several ends of fractures, so many that joints have, one flow node."""
     if flow_nodes < ends:
         raise InputError(f"{path}: a well has joined ends of fractures in it; {WRITE_ONE}")
+
+
+def refuse_flow_elsewhere(is_there: bool, path: Path) -> None:
+    """Raise InputError unless the flow nodes of joints are at the nodes of their walls, as they are where none are joined."""
+    if not is_there:
+        raise InputError(f"{path}: {_NO_MESH} (joint_flow has nodes that are not at the ends of joints); {WRITE_ONE}")
 
 
 class SlicedFile:
@@ -190,6 +199,27 @@ def _check(mesh: SplitMesh) -> None:
         _check_values(name, getattr(mesh, name), shape, below)
     if not has_near_first(mesh):
         raise ValueError(NOT_FIRST)
+    first = mesh.origin[walls_of(mesh)]
+    if not are_beside(mesh, mesh.cells[mesh.joint_cells], mesh.cells[mesh.side_cell], first):
+        raise ValueError(NOT_BESIDE)
+
+
+def walls_of(facets: SplitMesh) -> Ints:
+    """Nodes (f, 2, k) below and above each joint."""
+    return np.stack([facets.joint_bottom, facets.joint_top], axis=1)
+
+
+def are_beside(facets: SplitMesh, of_joints: Ints, of_sides: Ints, first: Ints) -> bool:
+    """Whether joints and sides are on their cells, and the walls of each joint copies of the same nodes.
+
+    facets     a mesh with some joints and sides
+    of_joints  (f, 2, c) nodes of the cells below and above each
+    of_sides   (s, c) of the cell of each side
+    first      (f, 2, k) first copies of the nodes of ``walls_of``
+    """
+    has_walls = (walls_of(facets)[..., None] == of_joints[:, :, None, :]).any(axis=-1).all()
+    has_sides = (facets.side_facets[..., None] == of_sides[:, None, :]).any(axis=-1).all()
+    return bool(has_walls and has_sides and np.array_equal(first[:, 0], first[:, 1]))
 
 
 def _check_names(mesh: SplitMesh, points: Shape, cells: Shape) -> None:

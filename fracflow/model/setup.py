@@ -38,6 +38,7 @@ from fracflow.model.dirichlet import meeting_supports, overruled_rates, refuse_t
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
+from fracflow.model.solid import refuse_unsound
 from fracflow.model.terms.registry import with_terms
 from fracflow.remarks import note
 from fracflow.scene.scene import Scene
@@ -416,6 +417,8 @@ def set_up(
     """
     rigid = [name for name, rock in scene.rock.items() if rock.rigid]
     blocks = blocks or distribute(mesh, comm, rigid, placed.ties, cell_rank)
+    if not scene.is_unbounded:
+        refuse_unsound(blocks)
     operators = with_terms(assemble(blocks, scene), scene)
     numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)

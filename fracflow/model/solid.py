@@ -8,11 +8,16 @@ import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
+from fracflow.elements.shape import is_folded
+from fracflow.errors import InputError
 from fracflow.laws.elastic import STIFFNESS, shear_modulus
+from fracflow.mesh.agreement import on_each
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.facets import spot
 from fracflow.model.layout import add_blocks, create_matrix, create_vector
 from fracflow.model.properties import body_force, initial_stress
+from fracflow.remarks import counted
 from fracflow.scene.scene import Scene
 
 TURNS = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # planes in which a body turns, by dimension
@@ -122,6 +127,28 @@ def elasticity(blocks: Blocks, scene: Scene) -> Floats:
         np.where(rigid, 1.0, rock_values(blocks, scene, "youngs_modulus")),
         np.where(rigid, 0.0, rock_values(blocks, scene, "poissons_ratio")),
     )
+
+
+def refuse_unsound(blocks: Blocks) -> None:
+    """Raise InputError, on every rank, where a cell of any is folded, or a node of the mesh is on no cell. Collective.
+
+    Element matrices raise it on the rank of the cell alone.
+    """
+    comm = blocks.comm
+    on_each(comm, lambda: _refuse_folded(blocks))
+    lost = blocks.sizes.nodes - comm.allreduce(blocks.solid.owned)
+    if lost:
+        raise InputError(f"mesh: {counted(lost, 'node')} that no cell has; leave them out")
+
+
+def _refuse_folded(blocks: Blocks) -> None:
+    points = blocks.solid.points
+    for _, nodes in by_shape(blocks.solid.cells):
+        is_bad = is_folded(points[nodes])
+        if is_bad.any():
+            where = spot(points, nodes[np.argmax(is_bad)])
+            how = "counter-clockwise around it" if points.shape[1] == 2 else "in Gmsh's order"
+            raise InputError(f"mesh: the cell at {where} is flat, folded or not convex, or its nodes do not run {how}")
 
 
 def stiffness(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:

@@ -176,12 +176,32 @@ def near_sides(model: Model) -> list[str]:
         return _near(scene, list(_half_and_distance(scene)), _stated_area(scene), not _free_sides(scene))
     if blocks.sizes.dim != 2 or all(rock.rigid for rock in scene.rock.values()):
         return []
-    boxes = blocks.solid.piece_box
-    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    wide, tall = (high - low).tolist()
-    keeps_volume = _held_length(scene, blocks) > 2.0 * (1.0 - ENDS) * (wide + tall)
-    lengths = on_root(blocks.comm, lambda: None if model.mesh is None else in_box(model.mesh, low, high))
-    return blocks.comm.bcast(None if lengths is None else _near(scene, lengths, wide * tall, keeps_volume), root=0)
+    hulls = blocks.comm.allgather(_hull(blocks.solid.points))
+    start = _hull(np.concatenate(hulls))
+    edge = np.roll(start, -1, axis=0) - start
+    area = 0.5 * float(np.sum((start[:, 0] - start[0, 0]) * edge[:, 1] - (start[:, 1] - start[0, 1]) * edge[:, 0]))
+    keeps_volume = _held_length(scene, blocks) > (1.0 - ENDS) * float(np.linalg.norm(edge, axis=1).sum())
+    lengths = on_root(blocks.comm, lambda: None if model.mesh is None else _in_hull(model.mesh, start, edge))
+    return blocks.comm.bcast(None if lengths is None else _near(scene, lengths, area, keeps_volume), root=0)
+
+
+def _hull(points: Floats) -> Floats:
+    """Corners (h, 2) of the convex hull of points (n, 2), counter-clockwise, by quickhull (Barber and others 1996)."""
+    if not len(points) or not np.ptp(points, axis=0).any():
+        return points[:1]
+    left, right = points[points[:, 0].argmin()], points[points[:, 0].argmax()]
+    least = 1e-9 * float(np.ptp(points, axis=0).max())  # beside a line: nodes along it are on it
+    return np.array([left, *_beyond(points, left, right, least), right, *_beyond(points, right, left, least)])
+
+
+def _beyond(points: Floats, start: Floats, end: Floats, least: float) -> list[Floats]:
+    """Corners of the hull on the right of the way from ``start`` to ``end``, in its direction."""
+    edge = end - start
+    height = (points - start) @ np.array([edge[1], -edge[0]]) / max(float(np.linalg.norm(edge)), least)
+    if height.max(initial=0.0) <= least:
+        return []
+    top, others = points[height.argmax()], points[height > least]
+    return [*_beyond(others, start, top, least), top, *_beyond(others, top, end, least)]
 
 
 def _near(scene: Scene, lengths: list[Reach], area: float, is_held: bool) -> list[str]:
@@ -210,10 +230,10 @@ def _near(scene: Scene, lengths: list[Reach], area: float, is_held: bool) -> lis
     ]
 
 
-def in_box(mesh: SplitMesh, low: Floats, high: Floats) -> list[Reach]:
-    """The same as ``_half_and_distance``, of a mesh in a box from ``low`` (2,) to ``high`` (2,).
+def _in_hull(mesh: SplitMesh, start: Floats, edge: Floats) -> list[Reach]:
+    """The same as ``_half_and_distance``, of a mesh in a convex hull with corners and edges (h, 2), counter-clockwise.
 
-    A fracture that ends on a side is at 0. A domain of another shape has sides nearer than those of its box.
+    A fracture that ends on a side is at 0. A domain that is not convex has sides nearer than those of its hull.
     """
     ends, count = mesh.points[mesh.joint_bottom], len(mesh.fractures)
     least, most = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
@@ -222,7 +242,10 @@ def in_box(mesh: SplitMesh, low: Floats, high: Floats) -> list[Reach]:
         np.maximum.at(most, mesh.joint_fracture, point)
     is_last = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))[mesh.joint_flow] == 1
     is_open = np.any(is_last & (mesh.joint_bottom != mesh.joint_top), axis=1)  # at a tip in the rock walls share a node
-    away = np.minimum(least - low, high - most).min(axis=1)
+    away = np.full(count, np.inf)
+    inward = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    for corner, normal in zip(start, inward, strict=True):
+        np.minimum.at(away, mesh.joint_fracture, ((ends - corner) @ normal).min(axis=1))
     away[mesh.joint_fracture[is_open]] = 0.0
     half = 0.5 * np.linalg.norm(most - least, axis=1)
     meshed = np.unique(mesh.joint_fracture).tolist()

@@ -36,6 +36,7 @@ MOST_NAMES = 100_000  # in a file of another program
 ATTEMPTS = 5  # at a file whose writer is under way, which may change it in between
 PAUSE = 0.05  # seconds between them
 _SIZE = "/proc/self/statm"
+_PLAIN = {"truncated file": "the file is cut short", "file signature not found": "no HDF5 file"}
 SPARE = 256 << 20  # bytes of memory beside those of the file
 
 
@@ -193,9 +194,15 @@ def main() -> None:
         try:
             answer(json.loads(line), out)
         except Exception as error:  # whatever h5py makes of a damaged file
-            said = str(error) or type(error).__name__
-            _send(out, {"error": said if isinstance(error, Refused) else f"{type(error).__name__}: {said}"[:300]})
+            _send(out, {"error": _said(error)})
         out.flush()
+
+
+def _said(error: Exception) -> str:
+    """The words of an error, plain ones for what the library says of files that are not whole."""
+    said = str(error) or type(error).__name__
+    plain = next((words for part, words in _PLAIN.items() if isinstance(error, OSError) and part in said), "")
+    return plain or (said if isinstance(error, Refused) else f"{type(error).__name__}: {said}"[:300])
 
 
 if __name__ == "__main__":

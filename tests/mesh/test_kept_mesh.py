@@ -60,6 +60,8 @@ def test_other_files_are_refused_in_a_line(tmp_path):
     changed.write_bytes(path.read_bytes())
     with h5py.File(changed, "r+") as file:
         file["points"][0, 0] += 1.0
+    (tmp_path / "short.h5").write_bytes(path.read_bytes()[:-1])
+    (tmp_path / "text.h5").write_text("no mesh", encoding="utf-8")
     joined = read_uncut(scene)[1]
     kept = np.arange(len(joined.flow_origin) - 1)
     fewer = joined.joint_flow.clip(max=kept[-1])
@@ -67,7 +69,10 @@ def test_other_files_are_refused_in_a_line(tmp_path):
         type(joined)(**{**vars(joined), "joint_flow": fewer, "flow_origin": joined.flow_origin[kept]}),
         tmp_path / "j.h5",
     )
-    for name, says in (("data", "is no saved mesh"), ("changed", "points"), ("j", "joined ends"), ("none", "none.h5")):
+    for name, says in (
+        ("data", "is no saved mesh"), ("changed", "points"), ("j", "joined ends"), ("none", "none.h5"),
+        ("short", r"is no saved mesh \(the file is cut short\);"), ("text", r"is no saved mesh \(no HDF5 file\);"),
+    ):  # fmt: skip
         file = "j.h5" if name == "j" else f"{name}.h5"
         with pytest.raises(InputError, match=says) as refused:
             run(load(CROSSINGS, [*SHORT, f"mesh.file={tmp_path / file}"]), tmp_path / "run")

@@ -27,7 +27,7 @@ from fracflow.mesh.store import load_mesh, load_split, save_mesh
 from fracflow.mesh.whole import blocks_with
 from fracflow.model.setup import fractures_of, looked_at, place, places_of
 from fracflow.output.catalogue import fault_ends
-from fracflow.reduction.prepare import read_uncut
+from fracflow.reduction.prepare import prepare, read_uncut
 from fracflow.reduction.sliced import InFile
 from fracflow.reduction.unloaded_blocks import parts
 from fracflow.reduction.unresolved import unresolved
@@ -229,9 +229,14 @@ def test_near_cells_do_not_grow_with_a_rock_that_is_supported(shared_tmp):
         ("cell_rock", lambda values: values[1:], "cell_rock has the shape"),
         ("joint_cells", lambda values: values + 10**6, "joint_cells has numbers"),
         ("origin", lambda values: np.roll(values, 1), "copies of copies"),
+        ("joint_cells", lambda values: values[:, ::-1], "not on the cells that they name"),
+        ("side_cell", lambda values: np.roll(values, 3), "not on the cells that they name"),
+        ("joint_top", lambda values: values[:, ::-1], "walls of a joint not at one place"),
+        ("joint_flow", lambda values: values[:, ::-1], "joint_flow has nodes that are not at the ends"),
     ],
 )
 def test_files_of_others_are_refused_on_every_rank(name, change, says, shared_tmp):
+    """In slices, and by rank 0."""
     path = _saved(split(_grid()), shared_tmp / "kept.h5")
     if COMM.rank == 0:
         with resealed(path) as (arrays, _):
@@ -239,6 +244,24 @@ def test_files_of_others_are_refused_on_every_rank(name, change, says, shared_tm
     COMM.barrier()
     with pytest.raises(InputError, match=says):
         read(COMM, SavedMesh(path))
+    if COMM.rank == 0 and name != "origin":
+        with pytest.raises(InputError, match=says):
+            load_split(path)
+
+
+@pytest.mark.parametrize("fewest", [0, 10**9], ids=["sliced", "whole"])
+def test_cells_that_cannot_be_computed_on_are_refused_on_every_rank(fewest, shared_tmp, monkeypatch):
+    """One has its nodes clockwise, which its rank alone sees; in the other mesh a node is on no cell."""
+    monkeypatch.setattr("fracflow.mesh.slices.reading.FEWEST", fewest)
+    whole = split(_grid())
+    cells = whole.cells.copy()
+    cells[-1] = cells[-1, ::-1]
+    lost = {"points": np.vstack([whole.points, [[0.3, 0.3]]]), "origin": np.append(whole.origin, len(whole.points))}
+    for changes, says in (({"cells": cells}, r"the cell at \(.*\) is flat"), (lost, "mesh: 1 node that no cell has")):
+        path = _saved(replace(whole, **changes), shared_tmp / "kept.h5")
+        with pytest.raises(InputError, match=says):
+            prepare(Scene.from_data(SCENE | {"mesh": {"file": str(path)}}), COMM)
+        COMM.barrier()
 
 
 def test_a_mesh_that_was_changed_is_refused_on_every_rank(shared_tmp):

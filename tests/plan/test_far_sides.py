@@ -1,6 +1,7 @@
 """Sides that fractures do not feel are left out, with the mesh, where that is cheaper; and come back where they matter."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -279,6 +280,19 @@ def test_sides_that_are_near_are_told(shared_tmp, monkeypatch, fewest):
         assert len(on_sides(waves)) == count
 
 
+@pytest.mark.parametrize("degrees", [37.0, 90.0])
+def test_sides_that_are_near_are_told_of_a_domain_that_is_turned(degrees, shared_tmp):
+    """At 37 degrees the box around it is 21 m away."""
+    near, angle = scene_of(30.0), np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    kept = in_file(near, shared_tmp / "near.h5", turn)
+    stress = near.initial_stress
+    turned = turn @ np.array([[stress.xx, stress.xy], [stress.xy, stress.yy]]) @ turn.T
+    parts = {"xx": float(turned[0, 0]), "yy": float(turned[1, 1]), "xy": float(turned[0, 1])}
+    (line,) = on_sides(kept.model_copy(update={"initial_stress": stress.model_copy(update=parts)}))
+    assert "sides: a, 38.5 m long, comes within 10 m of a side (so near for their lengths: 1 more)" in line
+
+
 THROUGH = {"domain": [-20, -20, 20, 20], "size": 4, "fracture": [{"name": "a", "points": [[-20, 0], [20, 1]]}]}
 
 
@@ -287,10 +301,11 @@ def on_sides(scene):
     return [note for note in prepare(scene, MPI.COMM_WORLD).placed.notes if note.startswith("sides:")]
 
 
-def in_file(scene, path):
-    """The same scene with its mesh in a file."""
+def in_file(scene, path, turn=None):
+    """The same scene with its mesh in a file, turned by a matrix (2, 2)."""
     if MPI.COMM_WORLD.rank == 0:
-        save_mesh(read_split(scene), path)
+        mesh = read_split(scene)
+        save_mesh(mesh if turn is None else replace(mesh, points=mesh.points @ turn.T), path)
     MPI.COMM_WORLD.barrier()
     return scene.model_copy(update={"geometry": None, "mesh": Mesh(file=str(path))})
 

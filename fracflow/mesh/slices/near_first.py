@@ -13,7 +13,6 @@ from fracflow.mesh.locate import all_covering
 from fracflow.mesh.slices.directory import Directory, Route
 from fracflow.mesh.slices.reading import NONE, Facets, Raw, moved
 from fracflow.mesh.store import NOT_FIRST
-from fracflow.storage.sealed import AGAIN
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def _first(comm: MPI.Comm, chosen: Bools) -> tuple[Ints, int]:
 
 def _refuse(raw: Raw, is_wrong: bool) -> None:
     if is_wrong:
-        raise InputError(f"{raw.saved.path}: is no saved mesh ({NOT_FIRST}); {AGAIN}")
+        raise InputError(f"{raw.saved.path}: is no saved mesh ({NOT_FIRST}); {raw.saved.remedy}")
 
 
 def _renumbered(raw: Raw, cell: Ints, near: int, node: Ints) -> Slices:

@@ -20,13 +20,17 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.slices.directory import Directory, Route, Values
 from fracflow.mesh.store import (
     ARRAYS,
+    NOT_BESIDE,
     SLICED,
     WRITE_ONE,
     SlicedFile,
+    are_beside,
     cells_of,
     dtype_of,
     no_plane_rock,
+    refuse_flow_elsewhere,
     refuse_joined_ends,
+    walls_of,
 )
 from fracflow.storage.reader import Layout, end_reading
 from fracflow.storage.sealed import AGAIN
@@ -50,6 +54,11 @@ class SavedMesh:
     root: str = ""
     near: int = -1
     is_passed_on: bool = False
+
+    @property
+    def remedy(self) -> str:
+        """The words on a file that is damaged."""
+        return AGAIN if self.near >= 0 else WRITE_ONE
 
 
 def is_large(cells: float) -> bool:
@@ -210,7 +219,7 @@ def _read_on_root(comm: MPI.Comm, file: SlicedFile | None, name: str, first: int
 
 
 def _opened(saved: SavedMesh) -> SlicedFile:
-    file = SlicedFile(saved.path, saved.root, AGAIN if saved.near >= 0 else WRITE_ONE)
+    file = SlicedFile(saved.path, saved.root, saved.remedy)
     if file.layout["cells"][1][1] < 3 or file.layout["points"][1][1] != 2:
         raise no_plane_rock(saved.path)
     return file
@@ -231,14 +240,22 @@ def _checked(raw: Raw) -> Raw:
     nodes, rows, comm = raw.nodes, raw.facets.rows, raw.nodes.comm
     copies = raw.origin[raw.origin != nodes.numbers]
     is_wrong = bool((nodes.look_up(raw.origin, copies) != copies).any())
-    if comm.allreduce(is_wrong, op=MPI.LOR):
-        raise InputError(f"{raw.saved.path}: is no saved mesh (origin has copies of copies); {WRITE_ONE}")
+    cells, walls = raw.cells, walls_of(rows)
+    of_joints = cells.look_up(raw.cell, rows.joint_cells.ravel()).reshape(*rows.joint_cells.shape, raw.cell.shape[1])
+    of_sides = cells.look_up(raw.cell, rows.side_cell)
+    first = nodes.look_up(raw.origin, walls.ravel()).reshape(walls.shape)
+    is_apart = not are_beside(rows, of_joints, of_sides, first)
+    for is_so, why in ((is_wrong, "origin has copies of copies"), (is_apart, NOT_BESIDE)):
+        if comm.allreduce(is_so, op=MPI.LOR):
+            raise InputError(f"{raw.saved.path}: is no saved mesh ({why}); {raw.saved.remedy}")
     if raw.saved.near >= 0:
         return raw
     ends = np.zeros(len(raw.points), dtype=np.int64)
     on = nodes.look_up(raw.origin, np.unique(rows.joint_bottom))
     nodes.put(ends, on, np.ones_like(on))
     refuse_joined_ends(raw.facets.flow.total, comm.allreduce(int(ends.sum())), raw.saved.path)
+    flow = raw.facets.flow.look_up(rows.flow_origin, rows.joint_flow.ravel()).reshape(rows.joint_flow.shape)
+    refuse_flow_elsewhere(comm.allreduce(np.array_equal(flow, first[:, 0]), op=MPI.LAND), raw.saved.path)
     return replace(raw, facets=replace(raw.facets, rows=replace(rows, cuts=0, near=-1)))
 
 
