@@ -6,7 +6,8 @@ that of a run, or a temporary one that a process of its own writes.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import os
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -142,25 +143,25 @@ def taken(scene: Scene, comm: MPI.Comm, kept: Kept | None) -> Taken:
     """The mesh of a scene, or the one ``kept`` of it, with its places. Raises InputError, on every rank. Collective."""
     if kept is not None:
         return kept.taken(scene, comm)
-    with TemporaryDirectory(prefix="fracflow-mesh-") if comm.rank == 0 else nullcontext("") as folder:
-        saved, mesh = _read(scene, comm, Path(folder))
+    with ExitStack() as folders:
+        saved, mesh = _read(scene, comm, folders)
         if saved is not None:
             return InFile(saved).taken(scene, comm)
     return _placed(scene, comm, on_root(comm, lambda: mesh and made_ready(scene, mesh)))
 
 
-def _read(scene: Scene, comm: MPI.Comm, folder: Path) -> tuple[SavedMesh | None, SplitMesh | None]:
+def _read(scene: Scene, comm: MPI.Comm, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
     """The file that ranks take slices of, on every rank; without one, the split mesh on rank 0.
 
-    folder  empty, on rank 0, where such a file may be written
+    folders  what removes the folder of a file that is written for the run, on rank 0
 
     Raises InputError, on every rank. Collective.
     """
-    saved, mesh = on_root(comm, lambda: _read_on_root(scene, folder)) or (None, None)
+    saved, mesh = on_root(comm, lambda: _read_on_root(scene, folders)) or (None, None)
     return comm.bcast(saved, root=0), mesh
 
 
-def _read_on_root(scene: Scene, folder: Path) -> tuple[SavedMesh | None, SplitMesh | None]:
+def _read_on_root(scene: Scene, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
     if scene.is_unbounded or scene.refine:  # cells that ranks cut come to them few and large
         return None, split_of(scene)
     path = scene.mesh_path
@@ -168,8 +169,10 @@ def _read_on_root(scene: Scene, folder: Path) -> tuple[SavedMesh | None, SplitMe
         saved = slices_of(path)
         return saved, split_of(scene) if saved is None else None
     source = source_of(scene)
+    folder = Path(os.devnull)
     try:
         if is_large(source.expected):
+            folder = _made_folder(folders)
             from fracflow.mesh.slices.making import made  # few runs need it
 
             file = made(source, folder)
@@ -177,12 +180,18 @@ def _read_on_root(scene: Scene, folder: Path) -> tuple[SavedMesh | None, SplitMe
             mesh = split(source.raw())
             if not is_large(len(mesh.cells)):
                 return None, mesh
+            folder = _made_folder(folders)
             save_mesh(mesh, file := folder / "mesh.h5")
     except OSError as error:
         where = f"{error.filename or folder}: {error.strerror or error}"
         raise InputError(f"mesh: cannot be written for ranks to read: {where}; make room, or set TMPDIR") from None
     saved = slices_of(file)
     return (None, load_split(file)) if saved is None else (replace(saved, is_passed_on=True), None)
+
+
+def _made_folder(folders: ExitStack) -> Path:
+    """A new temporary folder, removed with the stack. Raises OSError."""
+    return Path(folders.enter_context(TemporaryDirectory(prefix="fracflow-mesh-")))
 
 
 def distributed(scene: Scene, near: SplitMesh | None, slices: Slices) -> Taken:
