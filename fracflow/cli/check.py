@@ -14,6 +14,7 @@ from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.diagnostics.well_parts import parts_with_wells
 from fracflow.mesh.cut_mesh import whole_mesh
 from fracflow.mesh.read import network_of
+from fracflow.mesh.slices.gathering import with_all_cells
 from fracflow.mesh.split import summary
 from fracflow.model.setup import Model, geometry_of
 from fracflow.model.unbounded import held_walls
@@ -64,7 +65,8 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     """
     model = prepare(scene, MPI.COMM_SELF)
     refuse_imbalance(model)
-    assert model.mesh is not None
+    mesh = with_all_cells(model.mesh, model.operators.blocks)
+    assert model.mesh is not None and mesh is not None
     layout, start, steps = model.operators.layout, 0.0, 0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
@@ -72,7 +74,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     blocks = model.operators.blocks
     held = held_walls(blocks) if model.scene.is_unbounded else blocks.solid.unused
     found = {
-        **summary(whole_mesh(model.mesh)),
+        **summary(whole_mesh(mesh)),
         "displacement unknowns": int(layout.solid_starts[-1]) - len(held),
         "pressure unknowns": int(layout.flow_starts[-1]),
         "steps": steps,

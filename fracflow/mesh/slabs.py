@@ -81,7 +81,7 @@ class Order:
         for rank, there in self._of_others(counts, root):
             self.comm.Send([np.ascontiguousarray(slab[there]), MPI.BYTE], rank)
 
-    def whole(self, values: Values) -> Values | None:
+    def whole(self, values: ByRows) -> Values | None:
         """The array (total, ...) on rank 0, None elsewhere. Collective."""
         shape = (self.total, *values.shape[1:])
         found = np.empty(shape, dtype=values.dtype) if self.comm.rank == 0 else None

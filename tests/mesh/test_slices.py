@@ -10,6 +10,7 @@ from test_cut import _grid
 from test_near_cells import LAW, SCENE, _assert_same
 
 from fracflow._petsc import MPI
+from fracflow.cli.check import set_up
 from fracflow.diagnostics import pre_run_checks
 from fracflow.diagnostics.joints import gather
 from fracflow.errors import InputError
@@ -17,7 +18,7 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.near_cells import with_near_first
 from fracflow.mesh.rock_cells import RockCells
 from fracflow.mesh.slices.bisection import bisected
-from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
+from fracflow.mesh.slices.gathering import sliced_parts, with_all_cells, with_sums_of_cells
 from fracflow.mesh.slices.merging import merged_slices
 from fracflow.mesh.slices.near_first import with_near_first as near_of
 from fracflow.mesh.slices.reading import SavedMesh, frame_of, read, slices_of
@@ -61,14 +62,6 @@ def _sliced(scene, path, near=-1):
     return near_of(raw, COMM.bcast(places_of(scene, frame) if COMM.rank == 0 else None, root=0))
 
 
-def _gathered(near, blocks):
-    """All cells on rank 0, of a mesh of which ranks have them."""
-    found = {
-        name: part.order.whole(part.values[np.arange(part.order.count)]) for name, part in sliced_parts(blocks).items()
-    }
-    return None if near is None else replace(near, **found, near=-1, sums=None)
-
-
 @pytest.fixture(params=NAMES)
 def sliced(request, shared_tmp):
     scene, whole, rigid = _whole(request.param)
@@ -95,9 +88,9 @@ def test_numbers_are_those_of_a_whole_mesh_with_its_near_cells_first(sliced):
             assert np.array_equal(getattr(near, name), getattr(whole, name)[:count])
     assert np.array_equal(slices.points, whole.points[slices.nodes.numbers])
     assert np.array_equal(slices.cells, whole.cells[slices.number])
-    found = _gathered(near, blocks)
+    found = with_all_cells(near, blocks)
     if COMM.rank == 0:
-        _assert_same(found, replace(whole, near=-1))
+        _assert_same(found, whole)
 
 
 def test_blocks_are_those_of_shares_from_rank_0(sliced):
@@ -302,10 +295,10 @@ def test_walls_are_merged_on_pieces_as_in_a_whole_mesh(sliced):
     assert np.array_equal(slices.origin, without.origin[slices.nodes.numbers])
     assert np.array_equal(slices.cells, without.cells[slices.number])
     same = distribute_slices(found, slices, rigid)
-    again = _gathered(with_sums_of_cells(found, same), same)
+    again = with_all_cells(with_sums_of_cells(found, same), same)
     if COMM.rank == 0:
         assert len(without.joint_bottom) < len(whole.joint_bottom) or not len(whole.fractures)
-        _assert_same(again, replace(without, near=-1))
+        _assert_same(again, without)
 
 
 @pytest.mark.serial
@@ -323,3 +316,16 @@ def test_large_meshes_in_the_plane_are_taken_in_slices(tmp_path, monkeypatch):
     assert len(load_split(tmp_path / "mesh.h5").cells) == len(mesh.cells)
     with pytest.raises(InputError, match="write one with"):
         slices_of(tmp_path / "none.h5")
+
+
+@pytest.mark.serial
+def test_the_sizes_that_check_names_are_those_of_all_cells(monkeypatch):
+    """It had an assertion fail on every mesh that ranks take in slices."""
+    scene = load("meshes/crossings/scene.toml")
+    sizes, moved, numbers = set_up(scene)[:3]
+    monkeypatch.setattr("fracflow.mesh.slices.reading.FEWEST", 0)
+    sliced = set_up(scene)
+    same = [name for name in sizes if not name.startswith(("memory", "time"))]
+    assert "cells" in same and [sliced[0][name] for name in same] == [sizes[name] for name in same]
+    assert sliced[1] == moved
+    _assert_same(sliced[2], numbers)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,17 @@ def with_sums_of_cells(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | No
     cells = blocks.sizes.cells
     found = CellSums(cells, piece, sums[:count], solid.piece_rock, has_rock, sums[count:-1], float(sums[-1]) / cells)
     return replace(mesh, sums=found)
+
+
+def with_all_cells(mesh: SplitMesh | None, blocks: Blocks) -> SplitMesh | None:
+    """The mesh of near cells, on rank 0, with the cells and nodes of all ranks; None elsewhere.
+
+    A mesh that has them is given back. Collective.
+    """
+    if not blocks.comm.bcast(mesh is not None and mesh.sums is not None, root=0):
+        return mesh
+    parts: dict[str, Any] = {name: part.order.whole(part.values) for name, part in sliced_parts(blocks).items()}
+    return None if mesh is None else replace(mesh, **parts, sums=None)
 
 
 def sliced_parts(blocks: Blocks) -> dict[str, Distributed]:
