@@ -13,7 +13,8 @@ from _launch import without_ranks
 
 ROOT = Path(__file__).parents[2]
 PARTS = {
-    "read", "interpret", "split", "place", "partition", "distribute", "assemble G K M B", "start", "Jacobian", "balances",
+    "read", "interpret", "split",
+    "mesh by a process of its own", "place", "partition", "distribute", "assemble G K M B", "start", "Jacobian", "balances",
     "PETSc's solve", "energy balance", "output", "checkpoint", "all else",
 }  # fmt: skip
 SUMS = {"all outside the solve", "whole"}
