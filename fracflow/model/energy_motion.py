@@ -47,8 +47,8 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
     Where it is held, its inertia force does the work of its kinetic energy. That through M_fh on free nodes is no part of the
-    scheme either. Without inertia the half of S that the last stage
-    left is dropped; M a is not -S there, where a scheme uses the previous step. Collective.
+    scheme either. Without inertia the half of S that the last stage left is dropped; M a is not -S there, where a scheme uses
+    the previous step. Collective.
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
     before, after = old.motion.values(), new.motion.values()

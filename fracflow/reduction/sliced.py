@@ -6,11 +6,10 @@ that of a run, or a temporary one that a process of its own writes.
 
 from __future__ import annotations
 
-import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import TYPE_CHECKING, Protocol
 
 from fracflow._petsc import MPI
@@ -18,7 +17,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.agreement import on_root
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints, SplitMesh, is_unmeshed
-from fracflow.mesh.read import SPLIT
+from fracflow.mesh.read import SPLIT, MeshSource
 from fracflow.mesh.slabs import Distributed
 from fracflow.mesh.slices.gathering import sliced_parts, with_sums_of_cells
 from fracflow.mesh.slices.reading import SavedMesh, frame_of, is_large, read, slices_of
@@ -169,29 +168,28 @@ def _read_on_root(scene: Scene, folders: ExitStack) -> tuple[SavedMesh | None, S
         saved = slices_of(path)
         return saved, split_of(scene) if saved is None else None
     source = source_of(scene)
-    folder = Path(os.devnull)
-    try:
-        if is_large(source.expected):
-            folder = _made_folder(folders)
-            from fracflow.mesh.slices.making import made  # few runs need it
-
-            file = made(source, folder)
-        else:
-            mesh = split(source.raw())
-            if not is_large(len(mesh.cells)):
-                return None, mesh
-            folder = _made_folder(folders)
-            save_mesh(mesh, file := folder / "mesh.h5")
-    except OSError as error:
-        where = f"{error.filename or folder}: {error.strerror or error}"
-        raise InputError(f"mesh: cannot be written for ranks to read: {where}; make room, or set TMPDIR") from None
+    mesh = None if is_large(source.expected) else split(source.raw())
+    if mesh is not None and not is_large(len(mesh.cells)):
+        return None, mesh
+    file = _written(source, mesh, folders)
     saved = slices_of(file)
     return (None, load_split(file)) if saved is None else (replace(saved, is_passed_on=True), None)
 
 
-def _made_folder(folders: ExitStack) -> Path:
-    """A new temporary folder, removed with the stack. Raises OSError."""
-    return Path(folders.enter_context(TemporaryDirectory(prefix="fracflow-mesh-")))
+def _written(source: MeshSource, mesh: SplitMesh | None, folders: ExitStack) -> Path:
+    """A temporary file of a split mesh, or of that of a source, which a process of its own makes. Raises InputError."""
+    from fracflow.mesh.slices.making import made  # few runs need it
+
+    try:
+        # what that process has started may write for a moment after it was ended
+        folder = Path(folders.enter_context(TemporaryDirectory(prefix="fracflow-mesh-", ignore_cleanup_errors=True)))
+        if mesh is None:
+            return made(source, folder)
+        save_mesh(mesh, file := folder / "mesh.h5")
+        return file
+    except OSError as error:
+        where = f"{error.filename or gettempdir()}: {error.strerror or error}"
+        raise InputError(f"mesh: cannot be written for ranks to read: {where}; make room, or set TMPDIR") from None
 
 
 def distributed(scene: Scene, near: SplitMesh | None, slices: Slices) -> Taken:

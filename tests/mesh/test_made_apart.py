@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tempfile
 
 import numpy as np
 import pytest
@@ -18,9 +19,8 @@ from fracflow.model.setup import source_of
 from fracflow.reduction.sliced import taken
 from fracflow.scene.scene import load
 
-pytestmark = pytest.mark.serial
 
-
+@pytest.mark.serial
 def test_it_is_the_mesh_that_this_process_would_make(tmp_path):
     source = source_of(load(ROOT / "meshes/crossings/scene.toml"))
     apart, mesh = load_split(made(source, tmp_path)), split(source.raw())
@@ -34,12 +34,14 @@ def test_it_is_the_mesh_that_this_process_would_make(tmp_path):
     )
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("scene", ["injection_cycle", "mapped_network"])
 def test_cells_are_expected_at_a_guess(scene):
     source = source_of(load(ROOT / "meshes" / scene / "scene.toml"))
     assert 0.5 < source.expected / len(source.raw().cells) < 2.0
 
 
+@pytest.mark.serial
 def test_its_errors_are_those_of_this_process(tmp_path):
     (tmp_path / "bad.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\nnonsense\n$EndNodes\n")
     source, said = MeshFile(tmp_path / "bad.msh", ("default",)), []
@@ -62,6 +64,7 @@ class _Ends:
         return self._does
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("source", "says"),
     [
@@ -70,11 +73,32 @@ class _Ends:
             "mesh: the process that makes it was ended by signal 9; give it more",
         ),
         (_Ends(int, "no number"), "mesh: the process that makes it failed: ValueError: invalid literal"),
-        (_Ends(os.listdir, "/none"), "mesh: cannot be written for ranks to read: .*; make room, or set TMPDIR"),
+        (
+            _Ends(os.listdir, "/none"),
+            "mesh: cannot be written for ranks to read: .*: No such file .*; make room, or set TMPDIR",
+        ),
+        (_Ends(tempfile.mkdtemp), "mesh: the process that makes it failed: AttributeError"),
     ],
-    ids=["killed", "failed", "no room"],
+    ids=["killed", "failed", "no room", "with a folder of its own"],
 )
-def test_its_end_is_told_in_a_line(source, says, monkeypatch):
+def test_its_end_is_told_in_a_line(source, says, monkeypatch, tmp_path):
+    """Nothing is left in the folder for temporary files."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
     monkeypatch.setattr("fracflow.reduction.sliced.source_of", lambda _: source)
     with pytest.raises(InputError, match=says):
         taken(load(ROOT / "meshes/crossings/scene.toml"), MPI.COMM_SELF, None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_folder_for_temporary_files_is_told_on_every_rank(monkeypatch, tmp_path):
+    """And only where one is needed: rank 0 alone knew, and others waited."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    scene = load(ROOT / "meshes/crossings/scene.toml", [f"mesh.file={ROOT / 'tests/mesh/none.h5'}"])
+    with pytest.raises(InputError, match=r"none\.h5"):
+        taken(scene, MPI.COMM_WORLD, None)
+    monkeypatch.setattr("fracflow.reduction.sliced.source_of", lambda _: _Ends(int))
+    with pytest.raises(
+        InputError, match=r"mesh: cannot be written for ranks to read: .*none.*; make room, or set TMPDIR"
+    ):
+        taken(load(ROOT / "meshes/crossings/scene.toml"), MPI.COMM_WORLD, None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import pickle
 import sys
+import tempfile
 from pathlib import Path
 
 from fracflow.errors import InputError
@@ -28,10 +29,10 @@ def made(source: MeshSource, folder: Path) -> Path:
     code, said = run_module("fracflow.mesh.slices.making", [str(folder), str(os.getpid())], folder)
     if (error := folder / ERROR).exists():
         raise InputError(error.read_text(encoding="utf-8", errors="surrogateescape"))
+    last = (said.strip().splitlines() or ["it said nothing"])[-1]
     if code == os.EX_IOERR:
-        raise OSError(None, "cannot be written", str(folder))
+        raise OSError(None, last, str(folder))
     if code:
-        last = (said.strip().splitlines() or ["it said nothing"])[-1]
         how = f"was ended by signal {-code}" if code < 0 else f"failed: {last}"
         raise InputError(f"mesh: the process that makes it {how}; give it more memory, or a mesh with fewer cells")
     return folder / SPLIT_MESH
@@ -40,6 +41,7 @@ def made(source: MeshSource, folder: Path) -> Path:
 def main(folder: Path, parent: int) -> int:
     """Write the split mesh of the source in a folder; 0 if it is there, 1 if error.txt is, 74 without room for it."""
     end_with(parent)
+    tempfile.tempdir = str(folder)  # what Gmsh leaves where this process is ended goes with the folder
     try:
         # of the rank that waits for it, in a folder that no other user can write to
         source: MeshSource = pickle.loads((folder / SOURCE).read_bytes())
