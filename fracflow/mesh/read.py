@@ -99,8 +99,12 @@ class MeshFile:
     @property
     def expected(self) -> float:
         """How many cells it has, at a guess by its size; 0 of a .geo, whose size says nothing, and without a file."""
-        is_mesh = self.path.suffix != ".geo" and self.path.is_file()
-        return self.path.stat().st_size / BYTES_PER_CELL if is_mesh else 0.0
+        if self.path.suffix == ".geo":
+            return 0.0
+        try:
+            return self.path.stat().st_size / BYTES_PER_CELL
+        except OSError:  # which is refused where it is read
+            return 0.0
 
 
 class MeshSource(Protocol):

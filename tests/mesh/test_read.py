@@ -15,6 +15,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.files import gmsh
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, side_names
 from fracflow.mesh.split import split, summary
+from fracflow.storage import child
 
 pytestmark = pytest.mark.serial
 
@@ -249,7 +250,7 @@ def test_a_crash_is_one_line(monkeypatch, tmp_path):
     shell = tmp_path / "python"
     shell.write_text("#!/bin/sh\nkill -SEGV $$\n")
     shell.chmod(0o755)
-    monkeypatch.setattr(gmsh.sys, "executable", str(shell))
+    monkeypatch.setattr(child.sys, "executable", str(shell))
     with pytest.raises(InputError, match=r"geometry: Gmsh crashed \(signal 11\)"):
         build_mesh(GeometrySpec(SQUARE, (), 1.0))
 

@@ -151,7 +151,7 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             (folder / "mesh.msh").symlink_to(job["link"])
         given = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
         (folder / "job.json").write_text(json.dumps(given), encoding="utf-8")
-        code, said = run_module("fracflow.mesh.files.gmsh_worker", [name], folder, allowed.wall)
+        code, said = _run(folder, allowed)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
             remedy = f"let it make fewer cells, or set {SECONDS[0]} to more seconds"
@@ -181,6 +181,11 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             group_tags=arrays["group_tag"],
             group_names=tuple(head["group_name"]),
         )
+
+
+def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:
+    """Run the worker in its folder: its exit code, None if it took too long, and the end of what it said."""
+    return run_module("fracflow.mesh.files.gmsh_worker", [str(folder)], folder, allowed.wall)
 
 
 def _remedy(what: str, said: str, allowed: Limits) -> str:
