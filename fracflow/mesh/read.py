@@ -38,6 +38,7 @@ GROWTH = 0.3  # of the mesh size, per length away from the fractures
 SMALL = 0.25  # of the size at fractures: smaller cells are reported
 SHAPE = 0.433  # area of an equilateral triangle over its side squared
 BYTES_PER_CELL = 50  # of a mesh file, with half a node
+UNKNOWN = (".geo", ".vtu", ".xdmf")  # a program, and files whose data are packed or lie elsewhere
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,10 @@ class MeshFile:
         return read_mesh(self.path, self.fractures, self.trust, self.folder)
 
     @property
-    def expected(self) -> float:
-        """How many cells it has, at a guess by its size; 0 of a .geo, whose size says nothing, and without a file."""
-        if self.path.suffix == ".geo":
-            return 0.0
+    def expected(self) -> float | None:
+        """How many cells it has, at a guess by its size; None where that tells nothing."""
+        if self.path.suffix in UNKNOWN:
+            return None
         try:
             return self.path.stat().st_size / BYTES_PER_CELL
         except OSError:  # which is refused where it is read
@@ -114,8 +115,8 @@ class MeshSource(Protocol):
         """Read or make it. Raises InputError."""
 
     @property
-    def expected(self) -> float:
-        """How many cells it has, at a guess."""
+    def expected(self) -> float | None:
+        """How many cells it has, at a guess; None where there is nothing to guess by."""
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:

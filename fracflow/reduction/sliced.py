@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory, gettempdir
+from tempfile import gettempdir
 from typing import TYPE_CHECKING, Protocol
 
 from fracflow._petsc import MPI
@@ -36,6 +36,7 @@ from fracflow.model.setup import (
 )
 from fracflow.scene.scene import Scene
 from fracflow.storage.sealed import SealedFile
+from fracflow.storage.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from fracflow.mesh.slices.near_first import Slices
@@ -156,23 +157,28 @@ def _read(scene: Scene, comm: MPI.Comm, folders: ExitStack) -> tuple[SavedMesh |
 
     Raises InputError, on every rank. Collective.
     """
-    saved, mesh = on_root(comm, lambda: _read_on_root(scene, folders)) or (None, None)
+    saved, mesh = on_root(comm, lambda: _read_on_root(scene, comm.size > 1, folders)) or (None, None)
     return comm.bcast(saved, root=0), mesh
 
 
-def _read_on_root(scene: Scene, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
-    if scene.is_unbounded or scene.refine:  # cells that ranks cut come to them few and large
+def _read_on_root(scene: Scene, are_several: bool, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
+    """As ``_read``, on one rank or as the first of several.
+
+    Cells that ranks cut come to them from rank 0, which need not split them. Beside others it makes none of unknown size.
+    """
+    if scene.is_unbounded:
         return None, split_of(scene)
     path = scene.mesh_path
     if path is not None and path.suffix == SPLIT:
-        saved = slices_of(path)
+        saved = None if scene.refine else slices_of(path)
         return saved, split_of(scene) if saved is None else None
     source = source_of(scene)
-    mesh = None if is_large(source.expected) else split(source.raw())
-    if mesh is not None and not is_large(len(mesh.cells)):
+    is_apart = are_several if source.expected is None else is_large(source.expected)
+    mesh = None if is_apart else split(source.raw())
+    if mesh is not None and (scene.refine or not is_large(len(mesh.cells))):
         return None, mesh
     file = _written(source, mesh, folders)
-    saved = slices_of(file)
+    saved = None if scene.refine else slices_of(file)
     return (None, load_split(file)) if saved is None else (replace(saved, is_passed_on=True), None)
 
 
@@ -181,8 +187,7 @@ def _written(source: MeshSource, mesh: SplitMesh | None, folders: ExitStack) -> 
     from fracflow.mesh.slices.making import made  # few runs need it
 
     try:
-        # what that process has started may write for a moment after it was ended
-        folder = Path(folders.enter_context(TemporaryDirectory(prefix="fracflow-mesh-", ignore_cleanup_errors=True)))
+        folder = folders.enter_context(temporary_folder("mesh"))
         if mesh is None:
             return made(source, folder)
         save_mesh(mesh, file := folder / "mesh.h5")

@@ -25,14 +25,15 @@ def environment() -> dict[str, str]:
 def run_module(module: str, words: Sequence[str], folder: Path, wall: float | None = None) -> tuple[int | None, str]:
     """Run a module of fracflow in a folder, said.txt beside it: its exit code, None after ``wall`` s, and what it said last.
 
-    Whatever ends this process, or the wait, ends the module and all that it started. Raises OSError where it cannot start.
+    Its temporary files lie in that folder too. Whatever ends this process, or the wait, ends the module and all that it
+    started. Raises OSError where it cannot start.
     """
     paths = [str(PACKAGE_PARENT), *filter(None, [os.environ.get("PYTHONPATH")])]
     with (folder / "said.txt").open("wb") as said:
         worker = subprocess.Popen(
             [sys.executable, "-m", module, *words],
             cwd=folder,
-            env=environment() | {"PYTHONPATH": os.pathsep.join(paths)},
+            env=environment() | {"PYTHONPATH": os.pathsep.join(paths), "TMPDIR": str(folder)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=said,

@@ -91,6 +91,25 @@ def test_its_end_is_told_in_a_line(source, says, monkeypatch, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_rank_0_splits_no_mesh_of_unknown_size_beside_others(monkeypatch):
+    """One rank does it itself."""
+    by_rank_0, comm = [], MPI.COMM_WORLD
+    monkeypatch.setattr("fracflow.reduction.sliced.split", lambda raw: by_rank_0.append(raw) or split(raw))
+    mesh, _, _ = taken(load(ROOT / "meshes/crossings/scene.toml"), comm, None)
+    assert bool(by_rank_0) == (comm.size == 1)
+    if comm.rank == 0:
+        one = split(source_of(load(ROOT / "meshes/crossings/scene.toml")).raw())
+        assert all(np.array_equal(getattr(mesh, name), getattr(one, name)) for name in ARRAYS)
+
+
+def test_rank_0_splits_no_large_mesh_that_ranks_cut(monkeypatch):
+    monkeypatch.setattr(reading, "FEWEST", 100)
+    monkeypatch.setattr("fracflow.reduction.sliced.split", None)
+    comm = MPI.COMM_WORLD
+    mesh, _, blocks = taken(load(ROOT / "meshes/injection_cycle/scene.toml", ["geometry.refine=1"]), comm, None)
+    assert blocks is None and (mesh is None) == (comm.rank > 0)
+
+
 def test_no_folder_for_temporary_files_is_told_on_every_rank(monkeypatch, tmp_path):
     """And only where one is needed: rank 0 alone knew, and others waited."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))

@@ -20,6 +20,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
 from fracflow.storage.child import LONGEST_REPORT, run_module
+from fracflow.storage.temporary import temporary_folder
 
 SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
 # To read a mesh file of any size, and more for each of its bytes: memory [bytes] and CPU time [s].
@@ -143,8 +144,7 @@ def run_worker(
 
 def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path]) -> Elements:
     allowed = limits(job.get("bytes"))
-    with tempfile.TemporaryDirectory(prefix="fracflow-gmsh-") as name:
-        folder = Path(name)
+    with temporary_folder("gmsh") as folder:
         for each, text in texts.items():
             (folder / each).write_bytes(text)
         if "link" in job:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import pickle
 import sys
-import tempfile
 from pathlib import Path
 
 from fracflow.errors import InputError
@@ -41,7 +40,6 @@ def made(source: MeshSource, folder: Path) -> Path:
 def main(folder: Path, parent: int) -> int:
     """Write the split mesh of the source in a folder; 0 if it is there, 1 if error.txt is, 74 without room for it."""
     end_with(parent)
-    tempfile.tempdir = str(folder)  # what Gmsh leaves where this process is ended goes with the folder
     try:
         # of the rank that waits for it, in a folder that no other user can write to
         source: MeshSource = pickle.loads((folder / SOURCE).read_bytes())
