@@ -99,7 +99,7 @@ class MeshFile:
 
     @property
     def expected(self) -> float | None:
-        """How many cells it has, at a guess by its size; None where that tells nothing."""
+        """How many cells it has, at a guess by its size; None where the size is no guide."""
         if self.path.suffix in UNKNOWN:
             return None
         try:
