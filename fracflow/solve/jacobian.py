@@ -125,6 +125,7 @@ class JoinedMatrix:
         columns, rows = pattern.columns[self._changing_entries], petsc_ints(changing + self.layout.start)
         self._changing = petsc_ints(starts), columns, rows
         self._standing = np.zeros(0)  # values of those entries without the state
+        self._columns: Ints | None = pattern.columns  # until it is filled for the first time
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
         self.whole = self.matrix if ops.far is None else self._with_far(ops.far)
@@ -199,6 +200,13 @@ class JoinedMatrix:
             self._keeping[is_its] = layout.flow_numbers(self._summed.root_at[is_its])
             self._kept = self._kept * self._summed.size_at
 
+    def _columns_of(self, first: int, last: int) -> tuple[Ints, Ints]:
+        """Starts (r + 1,) and columns (n,) of some of this rank's rows. Collective."""
+        if self._columns is None:
+            return csr_of(self.matrix, first, last)[:2]
+        begin, end = self._starts[first], self._starts[last]
+        return self._starts[first : last + 1] - begin, self._columns[begin:end]
+
     def _find_changing(self, added: list[Ints]) -> tuple[Ints, Ints, Ints]:
         """Rows (r,) of this rank to which the state adds something, starts (r + 1,) and places (n,) of its entries. Collective.
 
@@ -244,9 +252,8 @@ class JoinedMatrix:
     def _entries_of(self, held: Bools, only: str | None) -> Ints:
         """Places of entries (n,) in this rank's rows and in columns that are held; its own (n,) are marked. Collective."""
         found = []
-        for (first, last), (starts, numbers, _) in zip(
-            pairwise(self._edges), by_rows(self.matrix, self._edges), strict=True
-        ):
+        for first, last in pairwise(self._edges):
+            starts, numbers = self._columns_of(first, last)
             of_held = np.repeat(held[first:last], np.diff(starts))
             column = numbers - self.layout.start
             is_own = (column >= 0) & (column < self.rows_here)
@@ -361,7 +368,7 @@ class JoinedMatrix:
             for name, scale in (("stiffness", 1.0), ("mass", alphas.mass), ("damping", solid_solid * alphas.a1)):
                 if name == "damping":
                     data *= solid_solid
-                if name in rock:
+                if name in rock and scale:
                     is_its = np.unpackbits(self._marks[name][number], count=len(data)).view(bool)
                     data[is_its] += scale * next(rock[name])[2]
             for name in self._couplings:
@@ -375,11 +382,11 @@ class JoinedMatrix:
             data[free.held_diagonal[_between(free.held_diagonal, begin, end)] - begin] = 1.0
             kept.append(data[self._changing_entries[_between(self._changing_entries, begin, end)] - begin])
             self._put(matrix, first, last, data)
-        self._standing = np.concatenate(kept)
+        self._standing, self._columns = np.concatenate(kept), None
 
     def _put(self, matrix: PETSc.Mat, first: int, last: int, data: Floats) -> None:
         """Set all values (n,) of some rows. Collective."""
-        starts, columns, _ = csr_of(matrix, first, last)
+        starts, columns = self._columns_of(first, last)
         rows = petsc_ints(np.arange(first, last) + self.layout.start)
         matrix.setValuesIJV(starts, columns, data, PETSc.InsertMode.INSERT, rows)
         matrix.assemble()
