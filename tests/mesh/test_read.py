@@ -66,13 +66,17 @@ for version in (2.2, 4.1):
         gmsh.option.setNumber("Mesh.MshFileVersion", version)
         gmsh.option.setNumber("Mesh.Binary", binary)
         gmsh.write(f"{sys.argv[1][:-4]}-{version}-{binary}.msh")
+gmsh.model.mesh.partition(3)
+for is_split, name in enumerate(("parts", "part")):
+    gmsh.option.setNumber("Mesh.PartitionSplitMeshFiles", is_split)
+    gmsh.write(f"{sys.argv[1][:-4]}-{name}.msh")
 gmsh.finalize()
 """
     subprocess.run([sys.executable, "-c", code, str(geo)], check=True)
     return geo
 
 
-@pytest.mark.parametrize("version", ["2.2-0", "2.2-1", "4.1-0", "4.1-1"])
+@pytest.mark.parametrize("version", ["2.2-0", "2.2-1", "4.1-0", "4.1-1", "parts"])
 def test_msh_gives_the_mesh_of_the_geo(saved, version):
     expected = read_mesh(saved, {"fault"})
     found = read_mesh(saved.with_name(f"fault-{version}.msh"), {"fault"})
@@ -96,6 +100,14 @@ def test_msh_gives_the_mesh_of_the_geo(saved, version):
 def test_default_takes_all_curves_inside(saved):
     mesh = read_mesh(saved, {"default"})
     assert mesh.fractures == ("fault",) and set(mesh.sides) == {"west", "outside"}
+
+
+def test_one_part_of_a_partitioned_mesh_is_refused(saved):
+    """Without its other parts the domain would end where a part does."""
+    with pytest.raises(
+        InputError, match=r"part_2\.msh: .*without the other parts.*PartitionSplitMeshFiles = 0; save it"
+    ):
+        read_mesh(saved.with_name("fault-part_2.msh"), {"fault"})
 
 
 @pytest.mark.parametrize(

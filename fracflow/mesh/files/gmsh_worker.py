@@ -95,10 +95,18 @@ def _stop_on_errors() -> None:
             )
 
 
+def _refuse_parts() -> None:
+    """Raise RuntimeError for one part of a partitioned mesh: its file lists all parts, and has cells of one."""
+    for dim, entity in gmsh.model.getEntities(2):
+        if len(gmsh.model.getPartitions(dim, entity)) and not len(gmsh.model.mesh.getElementTypes(dim, entity)):
+            raise RuntimeError("some parts of a mesh without the other parts; set Mesh.PartitionSplitMeshFiles = 0")
+
+
 def read_file(path: str) -> dict[str, Any]:
     """Open a geometry or mesh; mesh it if it is not a mesh yet."""
     gmsh.open(path)
     _stop_on_errors()
+    _refuse_parts()
     if not len(gmsh.model.mesh.getElementTypes(2)):
         gmsh.model.mesh.generate(2)
         _stop_on_errors()
