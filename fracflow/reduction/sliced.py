@@ -164,7 +164,8 @@ def _read(scene: Scene, comm: MPI.Comm, folders: ExitStack) -> tuple[SavedMesh |
 def _read_on_root(scene: Scene, are_several: bool, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
     """As ``_read``, on one rank or as the first of several.
 
-    Cells that ranks cut come to them from rank 0, which need not split them. Beside others it makes none of unknown size.
+    Cells that ranks cut come to them from rank 0, which need not have split them itself. Beside others it splits no mesh of
+    unknown size.
     """
     if scene.is_unbounded:
         return None, split_of(scene)
