@@ -35,8 +35,8 @@ from fracflow.model.setup import (
     split_of,
 )
 from fracflow.scene.scene import Scene
+from fracflow.storage.child import temporary_folder
 from fracflow.storage.sealed import SealedFile
-from fracflow.storage.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from fracflow.mesh.slices.near_first import Slices

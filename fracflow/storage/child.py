@@ -1,13 +1,22 @@
-"""A Python process of its own beside a rank: it is no rank itself, and ends with the process that waits for it."""
+"""A Python process of its own beside a rank, and a temporary folder for it.
+
+It is no rank itself, and ends with the process that waits for it. A folder whose process was killed goes when a process on that
+machine makes the next of its kind.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
@@ -15,6 +24,8 @@ ALONE = {"OPENBLAS_NUM_THREADS": "1", "HDF5_USE_FILE_LOCKING": "FALSE"}
 LONGEST_REPORT = 4096
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
 PR_SET_PDEATHSIG = 1  # of prctl
+IN_USE = "in-use"  # a file in the folder: it names the machine, and the process that made the folder locks it
+YOUNG = 60.0  # seconds in which a folder may have no lock yet
 
 
 def environment() -> dict[str, str]:
@@ -59,3 +70,31 @@ def end_with(parent: int) -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != parent:
             sys.exit(1)
+
+
+@contextmanager
+def temporary_folder(kind: str) -> Iterator[Path]:
+    """A folder of a kind, which goes as the block ends. Raises OSError."""
+    prefix = f"fracflow-{kind}-"
+    _remove_left(prefix)
+    # what a process has started may write for a moment after it was ended
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        with (folder / IN_USE).open("w", encoding="utf-8") as file:
+            with suppress(OSError):  # where files have no locks, folders of the killed stay
+                fcntl.flock(file, fcntl.LOCK_EX)
+            file.write(os.uname().nodename)  # elsewhere the lock may not be seen
+            file.flush()
+            yield folder
+
+
+def _remove_left(prefix: str) -> None:
+    """Remove this user's folders of a kind that no process has a lock on."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        with suppress(OSError, UnicodeError):  # it is in use, without a lock, or gone by now
+            found = folder.lstat()
+            if found.st_uid == os.getuid() and time.time() - found.st_mtime > YOUNG:
+                with (folder / IN_USE).open("r+", encoding="utf-8") as file:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    if file.read() == os.uname().nodename:
+                        shutil.rmtree(folder)

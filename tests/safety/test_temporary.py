@@ -7,13 +7,13 @@ import tempfile
 
 import pytest
 
-from fracflow.storage import temporary
-from fracflow.storage.temporary import IN_USE, temporary_folder
+from fracflow.storage import child
+from fracflow.storage.child import IN_USE, temporary_folder
 
 pytestmark = pytest.mark.serial
 HOLDS = """
 import sys
-from fracflow.storage.temporary import temporary_folder
+from fracflow.storage.child import temporary_folder
 with temporary_folder("mesh") as folder:
     print(folder, flush=True)
     sys.stdin.read()
@@ -25,7 +25,7 @@ def of_tests(monkeypatch, tmp_path):
     """The folder for temporary files; none in it is too young to go."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
-    monkeypatch.setattr(temporary, "YOUNG", -1.0)
+    monkeypatch.setattr(child, "YOUNG", -1.0)
     return tmp_path
 
 
@@ -57,7 +57,7 @@ def test_others_are_left_alone(of_tests, text):
 
 
 def test_a_young_one_may_not_have_its_lock_yet(of_tests, monkeypatch):
-    monkeypatch.setattr(temporary, "YOUNG", 60.0)
+    monkeypatch.setattr(child, "YOUNG", 60.0)
     other = of_tests / "fracflow-mesh-other"
     other.mkdir()
     (other / IN_USE).write_text(os.uname().nodename)

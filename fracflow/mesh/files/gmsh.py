@@ -19,8 +19,7 @@ from fracflow.errors import MOST_NAMED, InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
-from fracflow.storage.child import LONGEST_REPORT, run_module
-from fracflow.storage.temporary import temporary_folder
+from fracflow.storage.child import LONGEST_REPORT, run_module, temporary_folder
 
 SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
 # To read a mesh file of any size, and more for each of its bytes: memory [bytes] and CPU time [s].
