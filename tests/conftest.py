@@ -30,6 +30,7 @@ EVERY_CASE = {"resume"}  # of them, each of whose cases is another kind of state
 TWO_SAY_ALL = {
     "test_inertia_left_out", "test_kept_factors", "test_mesh_sizes",  # decisions on loads in time, and on the work
     "test_agreement", "test_fixed_point", "test_newton_methods", "test_true_residual",  # norms are sums over all ranks
+    "test_bar_impact", "test_oblique_wave", "test_two_modes",  # waves and events: other tests have them on three ranks
     "test_history_beside", "test_quantities", "test_suction", "test_faults", "test_api", "test_memory",  # rank 0 writes
 }  # fmt: skip
 """Files on one and two ranks only: a third is one more of the other ranks to them, and no neighbour on two sides."""

@@ -57,6 +57,7 @@ def test_one_closing_and_no_energy_made(shared_tmp, events):
     assert np.abs(history["energy/residual"]).max() <= 1e-10 * largest
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(("events", "energy"), [("located", 1.0), ("at-step-ends", 11.205)])
 def test_with_its_mass_on_the_face_the_bar_chatters(shared_tmp, events, energy):
     """Energy from where-methods-fail 4; what locating events saves of it, it does not save of the force."""
