@@ -187,6 +187,8 @@ class UnitSystem:
         number, unit = float(match[1]), match[2]
         if unit is None:
             raise ValueError(f"a string needs a unit; must be {fits}")
+        if unit.split("/")[0] == "mPa":  # that of a viscosity goes on with s
+            raise ValueError(f'"{unit}" is a thousandth of a pascal, not a million; did you mean "M{unit[1:]}"?')
         try:
             return number * _factor(unit, self.unit(dimension))
         except TypeError:

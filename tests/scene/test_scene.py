@@ -139,6 +139,7 @@ def test_values_of_another_unit_are_told(make):
 
 
 JOINT = "fracture.fault={normal_stiffness=1e10, shear_stiffness=1e10, aperture=1e-3, friction_angle_deg=%s}"
+PRESSED = "initial_stress={xx=-8e6, yy=-9e6}"
 TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", points=[[30, 50], [70, 50]]}]}'
 
 
@@ -170,6 +171,23 @@ TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", po
         (["fluid={viscosity=1.8e-5, density=1.2}"], None),  # air
         (["fluid={viscosity=1e-3, density=800}"], None),
         (["initial_stress={xx=-8e6, yy=-9e6}", "fluid.initial_pressure=10 kPa"], None),
+        (["fluid.viscosity=1 mPa s"], None),
+        (
+            ["initial_stress={xx=8e6, yy=-9e6}"],
+            "initial_stress.xx = 8e+06 N/m^2 is tension, as compression is negative: is",
+        ),
+        (
+            ["fracture.fault.shear_stiffness=1e13"],
+            "1e+13 N/m^3 is 1e+03 of normal_stiffness, 1e+10 N/m^3; joints have 0.01",
+        ),
+        (["fracture.fault.shear_stiffness=10 MPa/m"], "= 1e+07 N/m^3 is 0.001 of normal_stiffness"),
+        (["fracture.fault.shear_stiffness=100 MPa/m"], None),
+        (
+            [PRESSED, "fracture.fault.normal_stiffness=10 MPa/m"],
+            "opened by 0.8 m, 8e+02 times the aperture: is its unit",
+        ),
+        ([PRESSED, "fracture.fault.normal_stiffness=1 GPa/m"], None),
+        ([PRESSED, "fluid.initial_pressure=7.99e6", "fracture.fault.normal_stiffness=200 MPa/m"], None),
     ],
 )
 def test_values_that_rock_seldom_has_are_told(make, settings, told):
