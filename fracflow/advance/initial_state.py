@@ -254,12 +254,13 @@ def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
     given = [np.concatenate(comm.allgather(block.node_ids[: block.owned][row])) for row in lacks.T]
     kinds = [(block.side_facets, [block.sides[s] for s in block.side_of])]
     kinds += [(wall, [joints.fractures[f] for f in joints.fracture]) for wall in (joints.bottom, joints.top)]
-    whole, touched = set[tuple[str, str]](), set[str]()
+    whole, touched = set[tuple[str, str]](), set[tuple[str, str]]()
     for number, (facets, names) in enumerate(kinds):
         for axis, nodes in zip("xyz", given, strict=False):
-            is_in = np.isin(block.node_ids[facets], nodes)
-            whole |= {(names[k], axis if number == 0 else "") for k in np.flatnonzero(is_in.all(axis=1))}
-            touched |= {names[k] for k in np.flatnonzero(is_in.any(axis=1))}
+            is_in, told = np.isin(block.node_ids[facets], nodes), axis if number == 0 else ""
+            whole |= {(names[k], told) for k in np.flatnonzero(is_in.all(axis=1))}
+            touched |= {(names[k], told) for k in np.flatnonzero(is_in.any(axis=1))}
     whole, touched = (set().union(*comm.allgather(each)) for each in (whole, touched))
-    axes = {name: ", ".join(sorted(axis for at, axis in whole if at == name and axis)) for name, _ in whole}
-    return sorted(f"{name} ({along})" if along else name for name, along in axes.items()) or sorted(touched)
+    found = whole or touched
+    axes = {name: ", ".join(sorted(axis for at, axis in found if at == name and axis)) for name, _ in found}
+    return sorted(f"{name} ({along})" if along else name for name, along in axes.items())
