@@ -153,13 +153,12 @@ def _past_end(scene: Scene) -> Iterator[str]:
         tables |= {
             f"support.{number}.displacement.{part}": table for part, table in (support.displacement or {}).items()
         }
-    waves = {f"absorbing.{number}.wave": each.wave for number, each in enumerate(scene.absorbing)}
-    tables |= {f"{key}.velocity": wave.velocity for key, wave in waves.items() if wave is not None}
+    waves = ((f"absorbing.{number}.wave.velocity", each.wave) for number, each in enumerate(scene.absorbing))
+    tables |= {key: wave.velocity for key, wave in waves if wave is not None}
     for key, table in tables.items():
         if isinstance(table, TimeTable) and end > 0.0:
-            later = zip(table.times, table.values, strict=True)
-            left, now = [value for time, value in later if time > end * (1.0 + 1e-9)], table(end, JUST_BEFORE)
-            if len(left) > 1 and max(abs(value - now) for value in left) > GOES_ON * table.spread:
+            left = [value for time, value in zip(table.times, table.values, strict=True) if time > end * (1.0 + 1e-9)]
+            if len(left) > 1 and max(abs(value - table(end, JUST_BEFORE)) for value in left) > GOES_ON * table.spread:
                 yield note(
                     f"{key}: its table goes on to {scene.time_text(table.times[-1])}, and the last stage ends at"
                     f" {scene.time_text(end)}: what comes later has no part in the run"

@@ -32,6 +32,7 @@ THIN = 0.2  # m: a depth of the flow below it, and below a hundredth of a trace,
 THIN_OF_TRACE = 0.01
 WIDE = 0.04  # m: few fractures are wider whose conductance is that of their aperture
 LIQUID = 1e-4  # Pa s: no gas is as viscous
+YIELDING = 2e-8  # 1/Pa: no liquid is as compressible
 LIGHT = 50.0  # kg/m^3: no liquid is as light
 BREAKS = 1e-3  # a strain, from which on rock is not elastic
 LOCKS = 0.4  # up to which a crack opens by no more than 2 % less than at 0.25, see tests/mesh/test_stiff_cells.py
@@ -56,6 +57,7 @@ USUAL = {
         "direct_effect": ("", 1e-4, 0.1),
         "evolution_effect": ("", 1e-4, 0.1),
         "characteristic_slip": (LENGTH, 1e-7, 1.0),
+        "reference_slip_rate": (VELOCITY, 1e-14, 0.1),
     },
     "leak_off": {"permeability": (AREA, 1e-24, 1e-10), "storage": (COMPRESSIBILITY, 1e-13, 1e-7)},
     "fluid": {
@@ -165,11 +167,20 @@ def _thin(scene: Scene) -> Iterator[str]:
 
 
 def _light(scene: Scene) -> Iterator[str]:
-    """A liquid, by its viscosity, that is as light as a gas: g/cm^3 may have been written as kg/m^3."""
+    """A liquid, by its viscosity, that is as light or as compressible as a gas: a unit may be that of another factor."""
     fluid, least = scene.fluid, USUAL["fluid"]["density"][1]
-    if fluid is None or not fluid.density or fluid.viscosity * scene.unit_system.to_si(VISCOSITY) < LIQUID:
+    if fluid is None or fluid.viscosity * scene.unit_system.to_si(VISCOSITY) < LIQUID:
         return
-    if least <= fluid.density * scene.unit_system.to_si(DENSITY) < LIGHT:
+    if (
+        YIELDING
+        < fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
+        <= USUAL["fluid"]["compressibility"][2]
+    ):
+        yield (
+            f"fluid.compressibility = {fluid.compressibility:g} {scene.unit_system.written(COMPRESSIBILITY)} is that of a gas,"
+            " of a liquid's viscosity: is its unit right? Water has 0.45 1/GPa"
+        )
+    if fluid.density and least <= fluid.density * scene.unit_system.to_si(DENSITY) < LIGHT:
         yield _mistaken(
             scene, "fluid.density", fluid.density, DENSITY, "that of a gas, of a liquid's viscosity", "g/cm^3"
         )

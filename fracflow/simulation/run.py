@@ -60,7 +60,7 @@ def run(
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show      is given the pre-run checks before the first step, on rank 0
-    say       is given lines to be read before it: near misses, and warnings on the mesh, its sides and places on it
+    say       is given lines to be read before it: near misses and warnings on what was set up
     progress is given each step. An ``Observer`` is given rejected trials, checkpoints and numbers of joint ends too
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
