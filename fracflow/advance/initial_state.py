@@ -56,8 +56,8 @@ def refuse_imbalance(model: Model) -> None:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            " carries initial stress needs a name, and a [[support]], [[absorbing]], or a [[load]] with traction ="
-            ' "initial-stress"; on a'
+            " carries initial stress needs a name, and a [[support]] in these directions, [[absorbing]], or a [[load]] with"
+            ' traction = "initial-stress"; on a'
             " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or"
             ' initial_stress.unbalanced = "carried"; a [body_force] must balance the'
             f" gradient of initial_stress{_uncarried(model.scene)}{_on_top(model.scene)};"
@@ -243,9 +243,24 @@ def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
 
 
 def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
-    """Sides and fractures at which the given unknowns of this rank lie, of all ranks. Collective."""
-    block, nodes = ops.blocks.solid, _nodes_of(ops, bad)
-    sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
-    faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
-    cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}
-    return sorted(set().union(*ops.blocks.comm.allgather(sides | cut)))
+    """Sides, with what they lack in brackets, and fractures that have facets all of whose nodes lack balance. Collective.
+
+    The ends of a side are those of other sides, too, which may lack nothing. Without such facets all at the nodes are named.
+
+    bad  (n,) unknowns of this rank that lack balance
+    """
+    block, joints, layout = ops.blocks.solid, ops.blocks.joints, ops.layout
+    kinds = [(block.side_facets, [block.sides[s] for s in block.side_of])]
+    kinds += [(wall, [joints.fractures[f] for f in joints.fracture]) for wall in (joints.bottom, joints.top)]
+    numbers = [layout.solid_numbers(block.unknown[facets][..., : ops.blocks.sizes.dim]) for facets, _ in kinds]
+    lacking = layout.marked(bad, bad[:0], numbers)
+    whole, touched = set[tuple[str, str]](), set[tuple[str, str]]()
+    for number, (_, names) in enumerate(kinds):
+        for axis, lacks in zip("xyz", np.moveaxis(np.isin(numbers[number], lacking), -1, 0), strict=False):
+            told = axis if number == 0 else ""
+            whole |= {(names[k], told) for k in np.flatnonzero(lacks.all(axis=1))}
+            touched |= {(names[k], told) for k in np.flatnonzero(lacks.any(axis=1))}
+    whole, touched = (set().union(*layout.comm.allgather(each)) for each in (whole, touched))
+    found = whole or touched
+    axes = {name: ", ".join(sorted(axis for at, axis in found if at == name and axis)) for name, _ in found}
+    return sorted(f"{name} ({along})" if along else name for name, along in axes.items())

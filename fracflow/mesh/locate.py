@@ -15,6 +15,7 @@ from fracflow.mesh.graph import components
 from fracflow.mesh.places import extent_of, place_text
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
+BESIDE, BESIDE_OF_EXTENT = 0.1, 1e-3  # of a joint and of the mesh: nearer to it a place is as good as on it
 At = Sequence[float] | Floats | str | tuple[str, str]
 """Coordinates, the name of a point, or (fracture, "start" | "end")."""
 
@@ -179,6 +180,14 @@ def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = No
     within = tuple(_joint_end(mesh, joint, each) for each in (0, 1))
     joints, ends = np.array([joint, joint]), np.array([0, 1])
     return FracturePlace(within[end].flow, foot, within[end].nodes, joints, ends, within, tuple(shares.tolist()))
+
+
+def beside(mesh: SplitMesh, joints: Ints, point: Floats) -> float:
+    """Distance of a point (dim,) from the nearest of joints (n,) that it was moved onto; 0 where it is as good as on one."""
+    off = float(_feet(mesh, point, joints)[1].min(initial=np.inf))
+    longest = max((_length(mesh, joint) for joint in joints.tolist()), default=0.0)
+    near = max(BESIDE * longest, BESIDE_OF_EXTENT * float(np.ptp(mesh.points, axis=0).max()))
+    return off if near < off < np.inf else 0.0
 
 
 def _joint_end(mesh: SplitMesh, joint: int, end: int) -> FracturePlace:

@@ -21,6 +21,7 @@ from fracflow.mesh.locate import (
     PLACE_ROUND_OFF,
     FracturePlace,
     RockPlace,
+    beside,
     coordinates,
     on_fracture,
     point_along,
@@ -320,9 +321,10 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
                 if w.name in wells and w.at is not None
             ),
             *(
-                note(f"{name} sits on the fracture at {place_text(found.point, extent)}{unit}{away}")
+                remark_on(mesh, f"{name} sits on the fracture at {where}{unit}{away}", found.joints, asked[name], unit)
                 for name, found in ((f"probe.{p.name}", probes[p.name]) for p in scene.probe)
-                if (away := moved(mesh, asked[name], found.point, unit))
+                if isinstance(found, FracturePlace) and (away := moved(mesh, asked[name], found.point, unit))
+                for where in (place_text(found.point, extent),)
             ),
             *meeting_wells(wells, displaced),
             *overruled_rates(scene, wells),
@@ -337,11 +339,17 @@ def _fracture_of(at: Position | None) -> str | None:
 
 def on_its_fracture(mesh: SplitMesh, name: str, node: int, asked: Position, unit: str) -> str:
     """Say on which fractures a well lies: Gmsh may have given the number of its physical point to another one."""
-    on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
+    joints = np.flatnonzero(np.any(mesh.joint_flow == node, axis=1))
+    on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[joints])]
     spot, extent = mesh.points[mesh.flow_origin[node]], extent_of(mesh.points)
-    return note(
-        f"well.{name} is on {', '.join(on)} at {place_text(spot, extent)}{unit}{moved(mesh, asked, spot, unit)}"
-    )
+    line = f"well.{name} is on {', '.join(on)} at {place_text(spot, extent)}{unit}{moved(mesh, asked, spot, unit)}"
+    return remark_on(mesh, line, joints, asked, unit)
+
+
+def remark_on(mesh: SplitMesh, line: str, joints: Ints, asked: Position, unit: str) -> str:
+    """A line on a place: a note, or a warning where the coordinates asked for lie beside the joints (n,) that it is on."""
+    off = beside(mesh, joints, np.asarray(asked, dtype=float)) if _is_point(asked) else 0.0
+    return f"{line}: that is {off:.3g}{unit} beside the fracture: give a place on it" if off else note(line)
 
 
 def _is_point(asked: object) -> bool:

@@ -142,7 +142,7 @@ def _without_flow(scene: Scene) -> Iterator[str]:
 
 
 def _past_end(scene: Scene) -> Iterator[str]:
-    """Tables of wells and supports that go on changing after the last stage, by more than one row that gives a slope."""
+    """Tables of wells, supports and waves that go on changing after the last stage, by more than one row that gives a slope."""
     end = 0.0
     for stage in scene.stage:
         if stage.until is not None or not (stage.takes_no_time or stage.end or stage.step_count(end)):
@@ -153,10 +153,12 @@ def _past_end(scene: Scene) -> Iterator[str]:
         tables |= {
             f"support.{number}.displacement.{part}": table for part, table in (support.displacement or {}).items()
         }
+    waves = ((f"absorbing.{number}.wave.velocity", each.wave) for number, each in enumerate(scene.absorbing))
+    tables |= {key: wave.velocity for key, wave in waves if wave is not None}
     for key, table in tables.items():
         if isinstance(table, TimeTable) and end > 0.0:
-            left = sum(time > end * (1.0 + 1e-9) for time in table.times)
-            if left > 1 and abs(table.values[-1] - table(end, JUST_BEFORE)) > GOES_ON * table.spread:
+            left = [value for time, value in zip(table.times, table.values, strict=True) if time > end * (1.0 + 1e-9)]
+            if len(left) > 1 and max(abs(value - table(end, JUST_BEFORE)) for value in left) > GOES_ON * table.spread:
                 yield note(
                     f"{key}: its table goes on to {scene.time_text(table.times[-1])}, and the last stage ends at"
                     f" {scene.time_text(end)}: what comes later has no part in the run"

@@ -32,10 +32,13 @@ THIN = 0.2  # m: a depth of the flow below it, and below a hundredth of a trace,
 THIN_OF_TRACE = 0.01
 WIDE = 0.04  # m: few fractures are wider whose conductance is that of their aperture
 LIQUID = 1e-4  # Pa s: no gas is as viscous
+YIELDING = 2e-8  # 1/Pa: no liquid is as compressible
 LIGHT = 50.0  # kg/m^3: no liquid is as light
 BREAKS = 1e-3  # a strain, from which on rock is not elastic
 LOCKS = 0.4  # up to which a crack opens by no more than 2 % less than at 0.25, see tests/mesh/test_stiff_cells.py
 DECIMALS = 3  # that coordinates on a plane may have
+STIFFNESS_RATIOS = (2e-3, 30.0)  # of shear over normal stiffness: joints have 0.01 to 1; one unit of two may be wrong
+CLOSED, CLOSED_APERTURES = 0.01, 5.0  # m, and apertures, by which few joints close under the stress of their depth
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
 USUAL = {
@@ -51,6 +54,7 @@ USUAL = {
         "direct_effect": ("", 1e-4, 0.1),
         "evolution_effect": ("", 1e-4, 0.1),
         "characteristic_slip": (LENGTH, 1e-7, 1.0),
+        "reference_slip_rate": (VELOCITY, 1e-14, 0.1),
     },
     "leak_off": {"permeability": (AREA, 1e-24, 1e-10), "storage": (COMPRESSIBILITY, 1e-13, 1e-7)},
     "fluid": {
@@ -160,11 +164,17 @@ def _thin(scene: Scene) -> Iterator[str]:
 
 
 def _light(scene: Scene) -> Iterator[str]:
-    """A liquid, by its viscosity, that is as light as a gas: g/cm^3 may have been written as kg/m^3."""
+    """A liquid, by its viscosity, that is as light or as compressible as a gas: a unit may be that of another factor."""
     fluid, least = scene.fluid, USUAL["fluid"]["density"][1]
-    if fluid is None or not fluid.density or fluid.viscosity * scene.unit_system.to_si(VISCOSITY) < LIQUID:
+    if fluid is None or fluid.viscosity * scene.unit_system.to_si(VISCOSITY) < LIQUID:
         return
-    if least <= fluid.density * scene.unit_system.to_si(DENSITY) < LIGHT:
+    yielding = fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
+    if YIELDING < yielding <= USUAL["fluid"]["compressibility"][2]:
+        yield (
+            f"fluid.compressibility = {fluid.compressibility:g} {scene.unit_system.written(COMPRESSIBILITY)} is that of a gas,"
+            " of a liquid's viscosity: is its unit right? Water has 0.45 1/GPa"
+        )
+    if fluid.density and least <= fluid.density * scene.unit_system.to_si(DENSITY) < LIGHT:
         yield _mistaken(
             scene, "fluid.density", fluid.density, DENSITY, "that of a gas, of a liquid's viscosity", "g/cm^3"
         )
@@ -193,6 +203,50 @@ def _violent(scene: Scene) -> Iterator[str]:
             )
 
 
+def _tensile(scene: Scene) -> Iterator[str]:
+    """Initial stresses in the plane that are tension: compression may have been written as positive."""
+    stress = scene.initial_stress
+    for axis in ("xx", "yy") if stress is not None and _is_of_rock(scene) else ():
+        value = getattr(stress, axis)
+        if value * scene.unit_system.to_si(STRESS) > SLIGHT:
+            yield (
+                f"initial_stress.{axis} = {value:g} {scene.unit_system.written(STRESS)} is tension, as compression is negative:"
+                " is its sign right?"
+            )
+
+
+def _stiffnesses(scene: Scene) -> Iterator[str]:
+    """Joints that the initial stress has closed by far too much, or whose two stiffnesses are too far from each other."""
+    unit, metres = scene.unit_system.written(STIFFNESS), scene.unit_system.to_si(LENGTH)
+    for name, table in scene.fracture.items():
+        normal, shear, aperture = table.normal_stiffness, table.shear_stiffness, table.aperture
+        if isinstance(normal, Profile) or isinstance(shear, Profile):
+            continue
+        closed = _compression(scene, name) / normal
+        if isinstance(aperture, float) and closed * metres > CLOSED and closed > CLOSED_APERTURES * aperture > 0.0:
+            yield (
+                f"fracture.{name}.normal_stiffness = {normal:g} {unit} is soft beside the initial stress: walls lose contact"
+                f" once they have opened by {closed:.2g}{scene.unit_system.behind(LENGTH)}, {closed / aperture:.2g} times the"
+                " aperture: is its unit right?"
+            )
+        elif not STIFFNESS_RATIOS[0] <= shear / normal <= STIFFNESS_RATIOS[1]:
+            yield (
+                f"fracture.{name}.shear_stiffness = {shear:g} {unit} is {shear / normal:.2g} of normal_stiffness, {normal:g}"
+                f" {unit}; joints have 0.01 to 1: are both units right?"
+            )
+
+
+def _compression(scene: Scene, name: str) -> float:
+    """The least effective compression across a fracture at the start, whatever its direction [stress]; 0 if not known."""
+    given, stress = scene.fracture[name].initial_normal_traction, scene.initial_stress
+    if isinstance(given, float):
+        return max(-given, 0.0)
+    if given is not None or stress is None or any(stress.gradient.model_dump().values()):
+        return 0.0
+    most = 0.5 * (stress.xx + stress.yy) + float(np.hypot(0.5 * (stress.xx - stress.yy), stress.xy))
+    return max(-most - (scene.fluid.initial_pressure if scene.fluid is not None else 0.0), 0.0)
+
+
 def locking(scene: Scene) -> Iterator[str]:
     """Rock on a mesh whose volume hardly changes: its cells have not the freedom for that."""
     for name, rock in scene.rock.items() if not scene.is_unbounded else ():
@@ -208,6 +262,8 @@ def unusual(scene: Scene) -> Iterator[str]:
     if scene.units == "none":
         return
     yield from slight(scene)
+    yield from _tensile(scene)
+    yield from _stiffnesses(scene)
     yield from _of_wells(scene)
     yield from _thin(scene)
     yield from _light(scene)

@@ -29,7 +29,7 @@ from fracflow.reduction.far_sides import watch_sides
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.reduction.sliced import Kept, Whole, kept_mesh
-from fracflow.remarks import counted, marked, note
+from fracflow.remarks import counted, marked, note, parted
 from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -60,7 +60,7 @@ def run(
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show      is given the pre-run checks before the first step, on rank 0
-    say       is given lines to be read before it: on wells in separate network components, and near misses
+    say       is given lines to be read before it: near misses and warnings on what was set up
     progress is given each step. An ``Observer`` is given rejected trials, checkpoints and numbers of joint ends too
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
@@ -112,7 +112,7 @@ def _begun(
     whole = model.whole or model
     notes = whole.mesh.notes if whole.mesh is not None else ()
     if say is not None:
-        for line in (*near_ones(notes), *whole.placed.apart):
+        for line in (*near_ones(notes), *parted(whole.placed.notes)[0]):
             say(line)
     sizes = model.operators.blocks.sizes
     cells = "rock without cells" if model.scene.is_unbounded else f"{sizes.cells} cells"

@@ -70,6 +70,7 @@ def test_wells_that_no_fluid_can_join_are_told_with_their_parts(scene, tmp_path)
     assert {*APART, *NEAR} <= {*said("check", file)} and {*APART, *NEAR} <= {*said("mesh", file)}
     found = said("run", file, "-o", str(tmp_path / "run"))
     assert [line for line in found if line.startswith(("wells:", "near miss"))] == [*NEAR[:4], *APART]
+    assert any(line.startswith("sides: ") for line in found), "warnings of the log are printed, too"
     assert found.index(APART[0]) < next(k for k, line in enumerate(found) if "Energy balance" in line)
     log = map(bare, (tmp_path / "run" / "log.txt").read_text().splitlines())
     assert {*APART, *NEAR, "geometry.snap = 0.16 m: 0.4 % of the median length of traces"} <= {*log}

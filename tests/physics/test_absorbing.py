@@ -252,6 +252,35 @@ def test_sides_that_weaken_a_wave_or_know_no_fracture_are_told(shared_tmp, comm,
 LINEAR = "[fracture.seam]\nlaw = 'linear'\nnormal_stiffness = 1e9\nshear_stiffness = 1e9\n"
 
 
+@pytest.mark.parametrize(
+    ("kind", "direction", "held", "told"),
+    [
+        ("p", [0, 1], ["x"], ""),
+        ("p", [0, 1], ["x", "y"], "y"),
+        ("s", [0, 1], ["y"], ""),
+        ("s", [0, 1], ["x"], "x"),
+        ("s", [0.6, 0.8], ["x", "y"], ""),
+    ],
+)
+def test_supports_that_hold_a_wave_along_a_side_are_told(shared_tmp, comm, kind, direction, held, told):
+    """A joint across such a wave is left with 20 times the shear by an S wave, and 14 times by a P wave, once it has passed."""
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(OBLIQUE.replace("[geometry]\n", "[geometry]\nsize = 50\n"))
+    comm.barrier()
+    wave = f"wave={{kind='{kind}', velocity=[[0, 0], [0.01, 1]], direction={direction}}}"
+    settings = [
+        f"absorbing=[{{on=['south'], {wave}}}, {{on=['north']}}]",
+        f"support=[{{on=['west', 'east'], components={held}}}]",
+        "stage=[{kind='dynamic', time_step=1e-4, steps=1}]",
+    ]
+    notes = [line for line in prepare(load(shared_tmp / "scene.toml", settings), comm).placed.notes if "held" in line]
+    assert len(notes) == bool(told)
+    assert all(
+        f"support west, east: the wave of south runs along there, and is held where it moves rock along {told}: " in n
+        for n in notes
+    )
+
+
 @pytest.mark.serial
 def test_less_along_a_side_sends_back_less_in_all_but_something_along_the_normal():
     """Why dashpots are whole: at a ratio of 1/4, 0.75 along them take 6.4 % for 8.1 %; 1/7 of S at 0 degrees is back."""

@@ -81,6 +81,16 @@ def test_wells_that_come_to_share_a_node_are_told(shared_tmp):
     assert apart and not any("share a node" in line or "no effect" in line for line in apart)
 
 
+@pytest.mark.parametrize(("at", "is_warned"), [("[1.8, 1.8]", True), ("[1.8, 1.41]", False)])
+def test_a_well_or_probe_beside_its_fracture_is_told(shared_tmp, at, is_warned):
+    """Less than a joint away it is taken onto the fracture, which a line in the log alone said."""
+    wells = f"well=[{{name = 'in', at = {at}, pressure = '1 MPa'}}]"
+    found = _notes(shared_tmp, wells, f"probe=[{{name = 'on it', at = {at}, on = 'crack'}}]", about="")
+    told = [line.split(" ")[0] for line in found if "0.358 m beside the fracture: give a place on it" in line]
+    assert told == (["well.in", "probe.on"] if is_warned else [])
+    assert sum(line.startswith("note: well.in is on crack at") for line in found) == (not is_warned)
+
+
 @pytest.mark.parametrize(("point", "place"), [(5, "(0, -2000)"), (6, "(0, 2000)")])
 def test_a_well_at_a_named_point_says_where_it_is(point, place, shared_tmp):
     """Gmsh numbers points anew where curves cross: the number in a file may be another point than was meant."""

@@ -134,6 +134,16 @@ def test_waves_that_no_stage_sees_are_told(tmp_path, overrides, told):
     assert len(lines) == bool(told) and all(told in line for line in lines)
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize(("end", "told"), [(1.0, True), (1e6, False)])
+def test_a_wave_that_lasts_longer_than_the_run_is_told(tmp_path, end, told):
+    """Also one that is at its last value as the run ends; its times may be milliseconds that were written as seconds."""
+    (tmp_path / "scene.toml").write_text(WAVE, encoding="utf-8")
+    stage = f"stage=[{{kind='dynamic', time_step={end / 10}, steps=10}}]"
+    scene = load(tmp_path / "scene.toml", [stage, "absorbing.0.wave.velocity=[[0, 0], [1, 0], [2, 1e-3], [3, 0]]"])
+    assert any("absorbing.0.wave.velocity: its table goes on to 3 s" in line for line in advice(scene)) == told
+
+
 def test_a_wave_that_points_out_of_its_side_is_refused(run_scene):
     with pytest.raises(InputError, match=r"direction = \[-1.0, 0.0\] points out .* \[1.0, 0.0\] points in"):
         run_scene(WAVE, "absorbing.0.wave.direction=[-1, 0]")

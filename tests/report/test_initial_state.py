@@ -14,9 +14,9 @@ def _refusal(ran, *overrides):
 
 
 def test_initial_stress_that_nothing_carries(ran):
-    """The ends of 5.3 are free in y: without the tractions of the cut-off rock they are out of balance."""
+    """The ends of 5.3 are free: without the tractions of the cut-off rock they are out of balance."""
     message = _refusal(ran, "load=[]")
-    assert "out of balance" in message and "south" in message and "north" in message
+    assert "out of balance" in message and "at fault, north (x, y), south (x, y): a side" in message
 
 
 def test_fracture_past_its_strength(ran):

@@ -223,7 +223,7 @@ SCENES = {
     ),
     "out of balance": (
         placed(HELD, 'on = "west"'),
-        "scene.toml: initial state: out of balance at 4 unknowns, at east, north",
+        "scene.toml: initial state: out of balance at 4 unknowns, at north (y), south (y): a side",
     ),
     "no name of an option": (
         {"scene.toml": SCENE + '[petsc]\n"" = 3\n'},

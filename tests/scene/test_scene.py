@@ -139,6 +139,13 @@ def test_values_of_another_unit_are_told(make):
 
 
 JOINT = "fracture.fault={normal_stiffness=1e10, shear_stiffness=1e10, aperture=1e-3, friction_angle_deg=%s}"
+RATES = (
+    "fracture.fault={law='rate-and-state', normal_stiffness=1e10, shear_stiffness=1e10, aperture=1e-3, direct_effect=0.01,"
+    " friction_coefficient=0.6, evolution_effect=0.014, characteristic_slip=1e-3, initial_slip_rate=1e-9,"
+    " reference_slip_rate=%s}"
+)
+LATER = "stage=[{name='slow', kind='quasi-static', time_step=1, end=3}]"
+PRESSED = "initial_stress={xx=-8e6, yy=-9e6}"
 TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", points=[[30, 50], [70, 50]]}]}'
 
 
@@ -170,6 +177,32 @@ TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", po
         (["fluid={viscosity=1.8e-5, density=1.2}"], None),  # air
         (["fluid={viscosity=1e-3, density=800}"], None),
         (["initial_stress={xx=-8e6, yy=-9e6}", "fluid.initial_pressure=10 kPa"], None),
+        (["fluid.viscosity=1 mPa s"], None),
+        (
+            ["fluid.compressibility=0.5 1/MPa"],
+            "fluid.compressibility = 5e-07 m^2/N is that of a gas, of a liquid's viscosity",
+        ),
+        (["fluid.compressibility=0.5 1/GPa"], None),
+        (["fluid.compressibility=0.5 1/MPa", "fluid.viscosity=1.8e-5"], None),
+        ([RATES % 31.5, LATER], "fracture.fault.reference_slip_rate = 31.5 m/s is unusually large: is its unit right?"),
+        ([RATES % 1e-6, LATER], None),
+        ([f"{JOINT[:-3]}30, leak_off={{permeability='0.01 mD', storage=1e-11}}}}"], None),
+        (
+            ["initial_stress={xx=8e6, yy=-9e6}"],
+            "initial_stress.xx = 8e+06 N/m^2 is tension, as compression is negative: is",
+        ),
+        (
+            ["fracture.fault.shear_stiffness=1e13"],
+            "1e+13 N/m^3 is 1e+03 of normal_stiffness, 1e+10 N/m^3; joints have 0.01",
+        ),
+        (["fracture.fault.shear_stiffness=10 MPa/m"], "= 1e+07 N/m^3 is 0.001 of normal_stiffness"),
+        (["fracture.fault.shear_stiffness=100 MPa/m"], None),
+        (
+            [PRESSED, "fracture.fault.normal_stiffness=10 MPa/m"],
+            "opened by 0.8 m, 8e+02 times the aperture: is its unit",
+        ),
+        ([PRESSED, "fracture.fault.normal_stiffness=1 GPa/m"], None),
+        ([PRESSED, "fluid.initial_pressure=7.99e6", "fracture.fault.normal_stiffness=200 MPa/m"], None),
     ],
 )
 def test_values_that_rock_seldom_has_are_told(make, settings, told):

@@ -112,6 +112,29 @@ def _passes_by(blocks: Blocks, scene: Scene, absorbing: Absorbing, direction: Fl
     ]
 
 
+def _held_along(blocks: Blocks, scene: Scene, absorbing: Absorbing, direction: Floats) -> list[str]:
+    """A line for the log on sides along a wave whose supports hold the motion of the wave itself. Collective."""
+    assert absorbing.wave is not None
+    motion = np.abs(direction if absorbing.wave.kind == "p" else direction[::-1])
+    moving = {axis for axis, part in zip("xy", motion, strict=True) if part > SAME}
+    held = []
+    for support in scene.support:
+        still = moving & {*support.components} - {*(support.displacement or {})}
+        for name in support.on if still and support.displacement_gradient is None else ():
+            facets = side_facets(blocks, name) if name in blocks.solid.sides else np.zeros(0, dtype=np.int64)
+            slant = float(np.abs(outward(blocks, facets) @ direction).max(initial=0.0)) if len(facets) else 0.0
+            here = blocks.comm.allreduce(len(facets))
+            if blocks.comm.allreduce(slant, op=MPI.MAX) <= SAME and here:
+                held.append(name)
+    if not held:
+        return []
+    return [
+        f"support {', '.join(dict.fromkeys(held))}: the wave of {', '.join(absorbing.on)} runs along there, and is held where"
+        f" it moves rock along {' and '.join(sorted(moving))}: it comes in as another wave. Take [[tie]] of two sides that face"
+        f" each other, or [[support]]{_lets_pass(absorbing, direction)}"
+    ]
+
+
 def _lets_pass(absorbing: Absorbing, direction: Floats) -> str:
     """The components by which a support along a plane wave leaves it as it is: those across its motion."""
     assert absorbing.wave is not None
@@ -155,6 +178,7 @@ class AbsorbingSides(Term):
         lines = [line for each in self.sides for line in _notes(blocks, *each)]
         for absorbing, facets in waves:
             lines += _passes_by(blocks, scene, absorbing, _direction(blocks.comm, absorbing, facets))
+            lines += _held_along(blocks, scene, absorbing, _direction(blocks.comm, absorbing, facets))
             lines += _passes_fractures(blocks, absorbing, facets)
         self._notes = tuple(lines)
 
