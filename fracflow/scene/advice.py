@@ -11,13 +11,12 @@ import numpy as np
 from fracflow.integrators import EXPLICIT, stepper_from
 from fracflow.laws import JOINT_LAWS
 from fracflow.remarks import note
-from fracflow.scene.boundary import Stage
 from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, TimeTable
 from fracflow.scene.units import LENGTH, STRESS, TIME
-from fracflow.scene.unusual import degrees, locking, unusual
+from fracflow.scene.unusual import controls_at_zero, degrees, locking, unusual
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
@@ -55,11 +54,6 @@ def advice(scene: Scene) -> list[str]:
     ]
 
 
-def _finds(stage: Stage, control: str) -> bool:
-    """Whether a stage raises a control from 0, which a share of 0 does not."""
-    return stage.control == control and stage.until is not None
-
-
 def _idle(scene: Scene) -> Iterator[str]:
     geometry = scene.geometry
     if geometry is not None and geometry.is_unbounded and geometry.size and geometry.size_at_fractures:
@@ -67,28 +61,7 @@ def _idle(scene: Scene) -> Iterator[str]:
             yield note(
                 "geometry.size does nothing: rock that is not meshed has joints of size_at_fractures, and no cells"
             )
-    for kind in ("well", "load"):
-        for entry in getattr(scene, kind):
-            name = getattr(entry, "control", None)
-            if name is None or scene.control[name].initial or any(_finds(stage, name) for stage in scene.stage):
-                continue
-            label = getattr(entry, "name", None)
-            where = f"{kind}.{label}" if label else kind
-            yield (
-                f'{where}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1,'
-                ' or a stage until = "incipient" with this control'
-            )
-    for number, stage in enumerate(scene.stage):
-        name, earlier = stage.control, scene.stage[:number]
-        if (
-            stage.increment_per_step
-            and name
-            and not (scene.control[name].initial or any(_finds(e, name) for e in earlier))
-        ):
-            yield (
-                f'stage.{number}.increment_per_step raises control "{name}" over its value at the start of the stage, which is'
-                f" 0: it stays at 0; give control.{name}.initial"
-            )
+    yield from controls_at_zero(scene)
     for name, table in scene.fracture.items():
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:

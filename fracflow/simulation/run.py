@@ -214,11 +214,11 @@ def has_checkpoint(folder: Path) -> bool:
 def refuse_other_units(scene: Scene, folder: Path) -> None:
     """Raise InputError where a scene has other units than its run began with: the state and the mesh are numbers in those."""
     kept = read_units(folder / "history.h5")
-    began, now = ({part: names.get(part) for part in ("length", "force", "time")} for names in (kept, scene.unit_names))
+    began, now = ([names.get(part, "") for part in ("length", "force", "time")] for names in (kept, scene.unit_names))
     if kept and began != now:
         raise InputError(
-            f"scene.toml: units: the run began in {', '.join(map(str, began.values()))}, and has {', '.join(map(str, now.values()))} now:"
-            " put units back, or begin a new run: fracflow run"
+            f"scene.toml: units: the run began in {', '.join(began)}, and has {', '.join(now)} now: put units back,"
+            " or begin a new run: fracflow run"
         )
 
 

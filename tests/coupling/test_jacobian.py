@@ -118,7 +118,7 @@ def test_jacobian_of_rough_walls_that_ride_up():
 
 
 def test_jacobian_of_given_conductances_beside_walls_that_close():
-    """What a scene gives does not change with the walls; those pressed into each other hold no fluid that compresses."""
+    """Conductances of a scene do not change with the walls; those pressed into each other hold no fluid that compresses."""
     sets = ["fluid.compressibility=1e-6", "fracture.default.conductance=1e-9", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", sets)
     prepared = prepare(scene, MPI.COMM_WORLD)

@@ -181,7 +181,7 @@ steps = 10
 
 @pytest.mark.parametrize("name", ["newmark", "hht", "generalised-alpha", "generalised-alpha stiff", "implicit-euler"])
 def test_a_motion_given_up_is_dropped_whatever_the_scheme(run_scene, name):
-    """v M v/2 and the energy of u about the rest, less what the scheme took: schemes that look back leave M a that is not -S."""
+    """v M v/2 and the energy of u about the rest; schemes that look back leave M a that is not -S."""
     found = run_scene(
         ROD,
         *settings(name),
