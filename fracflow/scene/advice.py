@@ -16,7 +16,7 @@ from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, TimeTable
 from fracflow.scene.units import LENGTH, STRESS, TIME
-from fracflow.scene.unusual import degrees, locking, unusual
+from fracflow.scene.unusual import controls_at_zero, degrees, locking, unusual
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
@@ -61,14 +61,7 @@ def _idle(scene: Scene) -> Iterator[str]:
             yield note(
                 "geometry.size does nothing: rock that is not meshed has joints of size_at_fractures, and no cells"
             )
-    for kind in ("well", "load"):
-        for entry in getattr(scene, kind):
-            name = getattr(entry, "control", None)
-            if name is None or scene.control[name].initial or any(stage.control == name for stage in scene.stage):
-                continue
-            label = getattr(entry, "name", None)
-            where = f"{kind}.{label}" if label else kind
-            yield f'{where}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1, or stage.control'
+    yield from controls_at_zero(scene)
     for name, table in scene.fracture.items():
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:

@@ -1,4 +1,4 @@
-"""Values that are allowed but far from what is usual: a unit may have been forgotten."""
+"""Values that are allowed but far from what is usual: a unit may have been forgotten, or a control left at 0."""
 
 from __future__ import annotations
 
@@ -290,3 +290,26 @@ def unusual(scene: Scene) -> Iterator[str]:
                 elif key == "friction_angle_deg" and value < most:
                     remedy = f'give "{value:g} rad", if that is meant'
                 yield f"{path}.{key} = {stated} is unusually {few}: {remedy}"
+
+
+def controls_at_zero(scene: Scene) -> Iterator[str]:
+    """Lines on controls that stay at 0: a search raises them from there, and a share of their value does not."""
+    searches = [stage.control if stage.until is not None else None for stage in scene.stage]
+    for kind in ("well", "load"):
+        for entry in getattr(scene, kind):
+            name = getattr(entry, "control", None)
+            if name is None or scene.control[name].initial or name in searches:
+                continue
+            label = getattr(entry, "name", None)
+            where = f"{kind}.{label}" if label else kind
+            yield (
+                f'{where}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1,'
+                ' or a stage until = "incipient" with this control'
+            )
+    for number, stage in enumerate(scene.stage):
+        name = stage.control
+        if stage.increment_per_step and name and not scene.control[name].initial and name not in searches[:number]:
+            yield (
+                f'stage.{number}.increment_per_step raises control "{name}" over its value at the start of the stage, which is'
+                f" 0: it stays at 0; give control.{name}.initial"
+            )

@@ -22,7 +22,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, open_arrays, read_notes, restore_prestress, restore_state, restoring
 from fracflow.output.folder import check_own
-from fracflow.output.history import read_history
+from fracflow.output.history import read_history, read_units
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
 from fracflow.reduction.far_sides import watch_sides
@@ -152,6 +152,7 @@ def resume(
             totals = Totals.of(notes["totals"])
         if notes["finished"]:
             return totals
+        on_root(comm, lambda: refuse_other_units(scene, folder))
         arrays = on_root(comm, lambda: open_arrays(saved))
         is_as_before = notes["ranks"] == comm.size
         mesh = began_on = kept_mesh(comm, folder / "mesh.h5", notes["seals"].get("mesh", ""))
@@ -208,6 +209,17 @@ def has_checkpoint(folder: Path) -> bool:
         lost = folder / "checkpoint.h5"
         raise InputError(f"{lost}: no such file, although history.h5 has steps; put it back, or {AGAIN}")
     return False
+
+
+def refuse_other_units(scene: Scene, folder: Path) -> None:
+    """Raise InputError where a scene has other units than its run began with: the state and the mesh are numbers in those."""
+    kept = read_units(folder / "history.h5")
+    began, now = ([names.get(part, "") for part in ("length", "force", "time")] for names in (kept, scene.unit_names))
+    if kept and began != now:
+        raise InputError(
+            f"scene.toml: units: the run began in {', '.join(began)}, and has {', '.join(now)} now: put units back,"
+            " or begin a new run: fracflow run"
+        )
 
 
 def require_run(folder: Path) -> None:

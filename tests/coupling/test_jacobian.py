@@ -117,6 +117,26 @@ def test_jacobian_of_rough_walls_that_ride_up():
     problem.destroy()
 
 
+def test_jacobian_of_given_conductances_beside_walls_that_close():
+    """Conductances of a scene do not change with the walls; those pressed into each other hold no fluid that compresses."""
+    sets = ["fluid.compressibility=1e-6", "fracture.default.conductance=1e-9", "method.tangent=consistent"]
+    scene = load("meshes/crossings/scene.toml", sets)
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = equilibrium_state(prepared), np.random.default_rng(3 + MPI.COMM_WORLD.rank)
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(BackwardEuler().alphas(1e-3)),
+    )
+    check_around(scene, problem, random)
+    assert not problem.conduction.slope.any()
+    problem.destroy()
+    network = prepared.operators.network
+    closed = network.compress(np.minimum(-network.aperture, -1e-9), np.full_like(network.aperture, 1e5))
+    assert not (closed.held.any() or closed.weight.any() or closed.slope.any())
+
+
 class Seeps(Term):
     """Fluid leaves with the square of its pressure over some size, and with the aperture, as fast as walls sweep it."""
 

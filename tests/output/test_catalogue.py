@@ -9,7 +9,7 @@ import pytest
 from fracflow.output.catalogue import Catalogue, FaultEnds, Instant
 
 pytestmark = pytest.mark.serial
-ENDS = FaultEnds(np.array([4, 5, 6]), np.array([10.0, 10.0, 0.0]), np.full(3, 3e10), 100.0, 1.0)
+ENDS = FaultEnds(np.array([4, 5, 6]), np.array([10.0, 30.0, 0.0]), np.full(3, 3e10), 100.0, 1e3)  # forces in kN
 BOOKS = {"friction": 0.0, "radiated": 0.0, "dropped": 0.0, "scheme": 0.0, "residual": 0.0}
 
 
@@ -34,10 +34,10 @@ def test_an_event_goes_from_the_first_section_that_slides_to_the_last_that_stick
     after = _at(2.0, [0.1, 0.05, 9.0], [9e6, 6e6, 8e6], friction=6.0, radiated=3.0, dropped=1.0, residual=-1e-9)
     row = log.update(after, False)
     assert (row["place"], row["start"], row["end"]) == (5, 1.2, 1.4)
-    assert (row["slip"], row["peak_slip_rate"], row["sections"], row["length"]) == (-0.1, 3.0, 2, 20.0)
-    assert row["mean_slip"] == pytest.approx(0.075) and row["stress_drop"] == pytest.approx(1.5e6)  # 1 and 2 MPa
-    assert row["moment"] == pytest.approx(3e10 * (10 * 0.1 + 10 * 0.05))
-    assert row["magnitude"] == pytest.approx(2 / 3 * (np.log10(4.5e10 * 100) - 9.05))
+    assert (row["slip"], row["peak_slip_rate"], row["sections"], row["length"]) == (-0.1, 3.0, 2, 40.0)
+    assert row["mean_slip"] == pytest.approx(0.0625) and row["stress_drop"] == pytest.approx(1.75e6)  # 1 and 2 MPa
+    assert row["moment"] == pytest.approx(3e10 * (10 * 0.1 + 30 * 0.05))
+    assert row["magnitude"] == pytest.approx(2 / 3 * (np.log10(7.5e10 * 100 * 1e3) - 9.05))
     assert (row["radiated"], row["dissipated"], row["dropped"], row["injected"]) == (3.0, 6.0, 1.0, 7.0)
     assert row["unclosed"] == pytest.approx(1e-10)
     assert log.update(_at(3.0, [0.1, 0.05, 9.0], [9e6, 6e6, 8e6]), False) is None

@@ -303,6 +303,25 @@ def test_books_from_stage_to_stage(shared_tmp, film):
     assert np.diff(history["energy/viscous"]).min() >= 0.0
 
 
+def test_without_storage_what_compresses_the_fluid_is_outer_work(shared_tmp):
+    """No well brings it: V ((exp(c_f p) - 1)/c_f - p) between rigid walls, of which a step takes the mean of its ends."""
+    ends = (INFLOW + INFLOW.replace('"in"', '"out"').replace('"start"', '"end"')).replace(
+        "flow_rate = 0.3", "pressure = [[0, 0], [1, 2]]"
+    )
+    history, _ = winkler.ran(
+        shared_tmp, np.array([0.0, 1.0, 4.0]), STIFF.format(pressure=0) + ends + stage("steady", 1.0, 40)
+    )
+    pressure = 2.0 * history["time"]
+    assert history["energy/work_pressure"] == pytest.approx(
+        40.0 * (np.expm1(0.1 * pressure) / 0.1 - pressure), rel=1e-4, abs=1e-3
+    )
+    largest = closes(history)
+    assert (
+        largest == history["energy/fluid_storage"][-1] == pytest.approx(history["energy/work_pressure"][-1], rel=1e-12)
+    )
+    assert max(abs(history[f"energy/{name}"]).max() for name in ("work_wells", "scheme", "viscous")) < 1e-12 * largest
+
+
 def test_a_fluid_that_stores_needs_an_aperture(shared_tmp):
     """A conductance of the scene alone says nothing about the volume."""
     comm = MPI.COMM_WORLD

@@ -54,6 +54,9 @@ def test_a_well_between_two_drains(run_scene):
 
 THIN = "fluid.compressibility=4.5e-10"
 TWINS = CRACK + '[[well]]\nname = "twin"\nat = [0, 1]\npressure = 2e6\n'  # at the node of "in"
+RATED_TWINS = (
+    RATED + '[[well]]\nname = "twin"\nat = [4, 2]\nflow_rate = [[0, 0], [2.5e-4, 3e-4], [6e-4, 0]]\n'
+)  # of "out"
 
 
 @pytest.mark.parametrize(
@@ -65,6 +68,7 @@ TWINS = CRACK + '[[well]]\nname = "twin"\nat = [0, 1]\npressure = 2e6\n'  # at t
         (RATED, QUASI, ["method.flow_integrator=trapezoid"]),
         (CRACK, QUASI + DYNAMIC + QUASI, ["method.flow_integrator=bdf2"]),
         (RATED, STEADY + DYNAMIC, [THIN, "stage.0.time_step=1e-4"]),
+        (RATED_TWINS, DYNAMIC, []),  # within a step the rates bend: what enters besides is of both
         (RAMPED, STEADY + DYNAMIC + RAMP, ["method.stepper=explicit"]),
         (RAMPED, STEADY + DYNAMIC + RAMP, ["method.stepper=explicit", THIN, "stage.0.time_step=1e-4"]),
     ],

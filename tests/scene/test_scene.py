@@ -406,3 +406,17 @@ def test_where_docstrings_are_lost_the_schema_says_so_in_one_line():
     assert note_on_meanings(schema) == ""
     del schema["properties"]["title"]["description"]
     assert note_on_meanings(schema) == done.stderr.strip()
+
+
+def test_a_control_that_is_raised_by_a_share_of_zero_is_told(make):
+    """increment_per_step is over the value at the start of the stage: loads and wells of a control at 0 did nothing."""
+    raised = "{kind='quasi-static', time_step=1, end=4, control='pumping', increment_per_step=0.2}"
+    found = "{kind='steady', until='incipient', control='pumping'}"
+
+    def told(stages, initial):
+        lines = advice(make(f"stage=[{', '.join(stages)}]", f"control.pumping.initial={initial}"))
+        return [line.split(": ")[0].split(" raises")[0] for line in lines if "stays at 0" in line]
+
+    assert told([raised], 0) == ["well.node2", "stage.0.increment_per_step"]
+    assert told([raised, found], 0) == ["stage.0.increment_per_step"]
+    assert told([found, raised], 0) == told([raised], 1) == []
