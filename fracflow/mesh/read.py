@@ -13,7 +13,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh, SplitMesh
 from fracflow.mesh.files.geo_check import check_geo
-from fracflow.mesh.files.gmsh import FORMATS, open_checked, open_msh, open_other, run_worker
+from fracflow.mesh.files.gmsh import FORMATS, Elements, open_checked, open_msh, open_other, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
@@ -75,6 +75,10 @@ class GeometrySpec:
         """Its mesh by ``build_mesh``. Raises InputError."""
         return build_mesh(self)
 
+    def sized(self) -> GeometrySpec:
+        """Itself."""
+        return self
+
     @property
     def expected(self) -> float:
         """How many cells its mesh has, at a guess: away from fractures, and where sizes grow beside them."""
@@ -97,15 +101,46 @@ class MeshFile:
         """Its mesh by ``read_mesh``. Raises InputError."""
         return read_mesh(self.path, self.fractures, self.trust, self.folder)
 
+    def sized(self) -> MeshFile | Opened:
+        """This file, or its elements where its size is no guide to how many there are. Raises InputError."""
+        return open_mesh(self.path, self.fractures, self.trust, self.folder) if self.path.suffix in UNKNOWN else self
+
     @property
-    def expected(self) -> float | None:
-        """How many cells it has, at a guess by its size; None where the size is no guide."""
-        if self.path.suffix in UNKNOWN:
-            return None
+    def expected(self) -> float:
+        """How many cells it has, at a guess by its size; 0 without a file, which is refused where it is read."""
         try:
             return self.path.stat().st_size / BYTES_PER_CELL
-        except OSError:  # which is refused where it is read
+        except OSError:
             return 0.0
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The elements of a mesh file, before they mean anything.
+
+    fractures  the names that are fractures
+    name       of the file
+    notes      on reading it
+    """
+
+    elements: Elements
+    fractures: tuple[str, ...]
+    name: str
+    notes: tuple[str, ...] = ()
+
+    def raw(self) -> RawMesh:
+        """The mesh that they are. Raises InputError."""
+        raw = interpret(self.elements, self.fractures, self.name)
+        return replace(raw, notes=(*raw.notes, *self.notes))
+
+    def sized(self) -> Opened:
+        """Itself."""
+        return self
+
+    @property
+    def expected(self) -> float:
+        """How many cells it has."""
+        return float(len(self.elements.nodes["triangle"]) + len(self.elements.nodes["quad"]))
 
 
 class MeshSource(Protocol):
@@ -114,9 +149,12 @@ class MeshSource(Protocol):
     def raw(self) -> RawMesh:
         """Read or make it. Raises InputError."""
 
+    def sized(self) -> MeshSource:
+        """The same mesh, with a guess of its cells that is worth something. Raises InputError."""
+
     @property
-    def expected(self) -> float | None:
-        """How many cells it has, at a guess; None where there is nothing to guess by."""
+    def expected(self) -> float:
+        """How many cells it has, at a guess."""
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
@@ -127,7 +165,11 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
     (``geo_check``). Files that it includes must lie in ``folder``, or in its own where it lies elsewhere. Raises InputError,
     naming the file, for what cannot be read or has no meaning.
     """
-    path = Path(path)
+    return open_mesh(Path(path), tuple(fractures), trust, folder).raw()
+
+
+def open_mesh(path: Path, fractures: tuple[str, ...], trust: bool = False, folder: Path | None = None) -> Opened:
+    """The elements of a file, as ``read_mesh`` takes it. Raises InputError for what cannot be read."""
     if path.suffix not in SUFFIXES:
         known = f"give a Gmsh .geo or .msh, {', '.join(FORMATS)}, or the {SPLIT} of fracflow mesh"
         raise InputError(f'{path}: unknown kind of file "{path.suffix}"; {known}')
@@ -147,8 +189,7 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
         else:
             checked = check_geo(path, folder if is_inside else None)
             elements, notes = open_checked(path, checked), checked.notes
-    raw = interpret(elements, fractures, str(path))
-    return replace(raw, notes=(*raw.notes, *notes))
+    return Opened(elements, fractures, str(path), notes)
 
 
 def build_mesh(geometry: GeometrySpec) -> RawMesh:

@@ -157,25 +157,20 @@ def _read(scene: Scene, comm: MPI.Comm, folders: ExitStack) -> tuple[SavedMesh |
 
     Raises InputError, on every rank. Collective.
     """
-    saved, mesh = on_root(comm, lambda: _read_on_root(scene, comm.size > 1, folders)) or (None, None)
+    saved, mesh = on_root(comm, lambda: _read_on_root(scene, folders)) or (None, None)
     return comm.bcast(saved, root=0), mesh
 
 
-def _read_on_root(scene: Scene, are_several: bool, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
-    """As ``_read``, on one rank or as the first of several.
-
-    Cells that ranks cut come to them from rank 0, which need not have split them itself. Beside others it splits no mesh of
-    unknown size.
-    """
+def _read_on_root(scene: Scene, folders: ExitStack) -> tuple[SavedMesh | None, SplitMesh | None]:
+    """As ``_read``. Cells that ranks cut come to them from rank 0, which need not have split them itself."""
     if scene.is_unbounded:
         return None, split_of(scene)
     path = scene.mesh_path
     if path is not None and path.suffix == SPLIT:
         saved = None if scene.refine else slices_of(path)
         return saved, split_of(scene) if saved is None else None
-    source = source_of(scene)
-    is_apart = are_several if source.expected is None else is_large(source.expected)
-    mesh = None if is_apart else split(source.raw())
+    source = source_of(scene).sized()
+    mesh = None if is_large(source.expected) else split(source.raw())
     if mesh is not None and (scene.refine or not is_large(len(mesh.cells))):
         return None, mesh
     file = _written(source, mesh, folders)

@@ -63,6 +63,9 @@ class _Ends:
     def __reduce__(self):
         return self._does
 
+    def sized(self):
+        return self
+
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
@@ -91,15 +94,13 @@ def test_its_end_is_told_in_a_line(source, says, monkeypatch, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_rank_0_splits_no_mesh_of_unknown_size_beside_others(monkeypatch):
-    """One rank does it itself."""
-    by_rank_0, comm = [], MPI.COMM_WORLD
-    monkeypatch.setattr("fracflow.reduction.sliced.split", lambda raw: by_rank_0.append(raw) or split(raw))
-    mesh, _, _ = taken(load(ROOT / "meshes/crossings/scene.toml"), comm, None)
-    assert bool(by_rank_0) == (comm.size == 1)
-    if comm.rank == 0:
-        one = split(source_of(load(ROOT / "meshes/crossings/scene.toml")).raw())
-        assert all(np.array_equal(getattr(mesh, name), getattr(one, name)) for name in ARRAYS)
+@pytest.mark.serial
+def test_cells_of_a_file_whose_size_is_no_guide_are_counted(tmp_path):
+    source = source_of(load(ROOT / "meshes/crossings/scene.toml"))
+    opened = source.sized()
+    assert source.expected < 50.0 and opened.expected == len(source.raw().cells) == 410
+    apart, mesh = load_split(made(opened, tmp_path)), split(source.raw())
+    assert all(np.array_equal(getattr(apart, name), getattr(mesh, name)) for name in ARRAYS)
 
 
 def test_rank_0_splits_no_large_mesh_that_ranks_cut(monkeypatch):

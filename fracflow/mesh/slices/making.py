@@ -24,7 +24,8 @@ def made(source: MeshSource, folder: Path) -> Path:
 
     Raises InputError, and OSError where there is no room.
     """
-    (folder / SOURCE).write_bytes(pickle.dumps(source))
+    with (folder / SOURCE).open("wb") as file:
+        pickle.dump(source, file)
     code, said = run_module("fracflow.mesh.slices.making", [str(folder), str(os.getpid())], folder)
     if (error := folder / ERROR).exists():
         raise InputError(error.read_text(encoding="utf-8", errors="surrogateescape"))
