@@ -252,7 +252,8 @@ def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
     block, joints, layout = ops.blocks.solid, ops.blocks.joints, ops.layout
     kinds = [(block.side_facets, [block.sides[s] for s in block.side_of])]
     kinds += [(wall, [joints.fractures[f] for f in joints.fracture]) for wall in (joints.bottom, joints.top)]
-    numbers = [layout.solid_numbers(block.unknown[facets][..., : ops.blocks.sizes.dim]) for facets, _ in kinds]
+    numbers = [block.unknown[facets][..., : ops.blocks.sizes.dim] for facets, _ in kinds]
+    numbers = [np.where(each < 0, -1, layout.solid_numbers(each)) for each in numbers]  # -1 on rigid rock
     lacking = layout.marked(bad, bad[:0], numbers)
     whole, touched = set[tuple[str, str]](), set[tuple[str, str]]()
     for number, (_, names) in enumerate(kinds):

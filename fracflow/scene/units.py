@@ -95,8 +95,8 @@ USUAL = {
 }
 """Factors of usual units to those of SI and of the report, as pint gives them to the last bit: its registry costs more CPU than
 a small run."""
-OF_THE_FIELD = {"m**2": {"mD": 9.869233e-16, "D": 9.869233e-13}}
-"""Factors of units whose names mean others in pint: darcys, there debyes."""
+DARCYS = {"mD": 9.869233e-16, "D": 9.869233e-13}
+"""Factors to m^2 of units whose names mean others in pint: debyes."""
 BASE = {
     "lbf/ft**2": 47.88025898033586,
     "ft**2/lbf": 0.02088543423315013,
@@ -189,7 +189,7 @@ class UnitSystem:
         number, unit = float(match[1]), match[2]
         if unit is None:
             raise ValueError(f"a string needs a unit; must be {fits}")
-        if unit.split("/")[0] == "mPa":  # that of a viscosity goes on with s
+        if unit.split("/")[0] == "mPa" and dimension in (STRESS, STIFFNESS):
             raise ValueError(f'"{unit}" is a thousandth of a pascal, not a million; did you mean "M{unit[1:]}"?')
         try:
             return number * _factor(unit, self.unit(dimension))
@@ -243,8 +243,10 @@ def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False
 @lru_cache(maxsize=1000)
 def _factor(unit: str, target: str) -> float:
     """The factor from one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
-    if unit in (usual := USUAL.get(target, {}) | OF_THE_FIELD.get(target, {})):
+    if unit in (usual := USUAL.get(target, {})):
         return usual[unit]
+    if unit in DARCYS:
+        return DARCYS[unit] * _factor("m^2", target)
     import pint
 
     if not _UNIT.fullmatch(unit):  # pint would work out any arithmetic

@@ -206,7 +206,9 @@ def _violent(scene: Scene) -> Iterator[str]:
 def _tensile(scene: Scene) -> Iterator[str]:
     """Initial stresses in the plane that are tension: compression may have been written as positive."""
     stress = scene.initial_stress
-    for axis in ("xx", "yy") if stress is not None and _is_of_rock(scene) else ():
+    if not _is_of_rock(scene) or stress is None or any(stress.gradient.model_dump().values()):
+        return
+    for axis in ("xx", "yy"):
         value = getattr(stress, axis)
         if value * scene.unit_system.to_si(STRESS) > SLIGHT:
             yield (
@@ -225,8 +227,8 @@ def _stiffnesses(scene: Scene) -> Iterator[str]:
         closed = _compression(scene, name) / normal
         if isinstance(aperture, float) and closed * metres > CLOSED and closed > CLOSED_APERTURES * aperture > 0.0:
             yield (
-                f"fracture.{name}.normal_stiffness = {normal:g} {unit} is soft beside the initial stress: walls lose contact"
-                f" once they have opened by {closed:.2g}{scene.unit_system.behind(LENGTH)}, {closed / aperture:.2g} times the"
+                f"fracture.{name}.normal_stiffness = {normal:g} {unit} is soft beside the initial stress: that has closed the"
+                f" joint by {closed:.2g}{scene.unit_system.behind(LENGTH)}, {closed / aperture:.2g} times the"
                 " aperture: is its unit right?"
             )
         elif not STIFFNESS_RATIOS[0] <= shear / normal <= STIFFNESS_RATIOS[1]:
@@ -243,8 +245,11 @@ def _compression(scene: Scene, name: str) -> float:
         return max(-given, 0.0)
     if given is not None or stress is None or any(stress.gradient.model_dump().values()):
         return 0.0
+    fluid = scene.fluid
+    if fluid is not None and fluid.pressure_gradient:
+        return 0.0
     most = 0.5 * (stress.xx + stress.yy) + float(np.hypot(0.5 * (stress.xx - stress.yy), stress.xy))
-    return max(-most - (scene.fluid.initial_pressure if scene.fluid is not None else 0.0), 0.0)
+    return max(-most - (fluid.initial_pressure if fluid is not None else 0.0), 0.0)
 
 
 def locking(scene: Scene) -> Iterator[str]:

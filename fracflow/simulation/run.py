@@ -159,8 +159,8 @@ def resume(
         event_seal = notes["seals"].get("event_mesh", "")
         is_meshed = notes.get("meshed", bool(event_seal))  # earlier versions never left the mesh of an event
         event_mesh = on_root(comm, lambda: load_mesh(folder / EVENT_MESH, event_seal) if is_meshed else None)
-        parted = Whole.of(event_mesh, comm) if is_meshed else began_on
-        cell_rank = on_root(comm, lambda: parted.partition(arrays) if is_as_before else None)
+        last_on = Whole.of(event_mesh, comm) if is_meshed else began_on
+        cell_rank = on_root(comm, lambda: last_on.partition(arrays) if is_as_before else None)
         first_rank = None if is_meshed else cell_rank
         model = prepare(scene, comm, mesh, first_rank, begins=False, undone=notes["totals"]["undone"])
         refuse_imbalance(model)
@@ -214,10 +214,13 @@ def has_checkpoint(folder: Path) -> bool:
 def refuse_other_units(scene: Scene, folder: Path) -> None:
     """Raise InputError where a scene has other units than its run began with: the state and the mesh are numbers in those."""
     kept = read_units(folder / "history.h5")
-    began, now = ([names.get(part, "") for part in ("length", "force", "time")] for names in (kept, scene.unit_names))
+    began, now = (
+        ", ".join(filter(None, (names.get(part) for part in ("length", "force", "time")))) or "none"
+        for names in (kept, scene.unit_names)
+    )
     if kept and began != now:
         raise InputError(
-            f"scene.toml: units: the run began in {', '.join(began)}, and has {', '.join(now)} now: put units back,"
+            f"scene.toml: units: the run began in {began}, and has {now} now: put units back,"
             " or begin a new run: fracflow run"
         )
 

@@ -22,6 +22,7 @@ CASES = {
     "rock.granite.youngs_modulus=30 gpa": 'unknown unit "gpa"; must be a number in N/m^2 or a string such as "30 GPa"; did you mean "GPa"?',
     "rock.granite.youngs_modulus=30 mPa": '"mPa" is a thousandth of a pascal, not a million; did you mean "MPa"?',
     "fracture.fault.normal_stiffness=30 mPa/mm": '"mPa/mm" is a thousandth of a pascal, not a million; did you mean "MPa/mm"?',
+    "fluid.viscosity=1 mPa": 'fluid.viscosity = "1 mPa": "mPa" is not a unit of force*time/length**2; must be',
     "rock.granite.youngs_modulus='30'": "a string needs a unit",
     "rock.granite.youngs_modulus=-1": "rock.granite.youngs_modulus = -1: out of range; must be above 0",
     "rock.granite.youngs_modulus=nan": "must be finite",

@@ -16,6 +16,7 @@ from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.schema import note_on_meanings, rows
 from fracflow.scene.toml import write_float, write_value
+from fracflow.scene.units import UnitSystem
 from fracflow.scene.unusual import unusual
 from fracflow.scene.values import FractureEnd, TimeTable
 
@@ -149,6 +150,12 @@ PRESSED = "initial_stress={xx=-8e6, yy=-9e6}"
 TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", points=[[30, 50], [70, 50]]}]}'
 
 
+@pytest.mark.parametrize(("units", "metres"), [("SI", 1.0), ("ft-lbf-s", 0.3048), ("mm-N-s", 1e-3)])
+def test_darcys_are_areas_in_all_units(units, metres):
+    found = UnitSystem.parse(units).convert("2 mD", "length**2") * metres**2
+    assert found == pytest.approx(2 * 9.869233e-16, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     "settings, told",
     [
@@ -183,6 +190,7 @@ TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", po
             "fluid.compressibility = 5e-07 m^2/N is that of a gas, of a liquid's viscosity",
         ),
         (["fluid.compressibility=0.5 1/GPa"], None),
+        (["initial_stress={xx=5e6, yy=7.5e6, gradient={xx=2e4, yy=2.5e4}}"], None),  # 0 is above the rock
         (["fluid.compressibility=0.5 1/MPa", "fluid.viscosity=1.8e-5"], None),
         ([RATES % 31.5, LATER], "fracture.fault.reference_slip_rate = 31.5 m/s is unusually large: is its unit right?"),
         ([RATES % 1e-6, LATER], None),
@@ -199,7 +207,7 @@ TRACE = 'geometry={domain=[0, 0, 100, 100], size=20, fracture=[{name="fault", po
         (["fracture.fault.shear_stiffness=100 MPa/m"], None),
         (
             [PRESSED, "fracture.fault.normal_stiffness=10 MPa/m"],
-            "opened by 0.8 m, 8e+02 times the aperture: is its unit",
+            "closed the joint by 0.8 m, 8e+02 times the aperture: is its unit",
         ),
         ([PRESSED, "fracture.fault.normal_stiffness=1 GPa/m"], None),
         ([PRESSED, "fluid.initial_pressure=7.99e6", "fracture.fault.normal_stiffness=200 MPa/m"], None),
